@@ -1,7 +1,5 @@
 """Scenes written with what was found in them, by the suffix of the output."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -22,7 +20,7 @@ def labelled(count: int = 40) -> LabelledScene:
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".spz"])
-def test_a_scene_is_written_as_its_suffix_says(tmp_path: Path, suffix: str) -> None:
+def test_a_scene_is_written_as_its_suffix_says(tmp_path, suffix):
     scene = labelled()
     write_scene(tmp_path / f"out{suffix}", scene)
     read = read_gaussians(tmp_path / f"out{suffix}")
@@ -31,18 +29,18 @@ def test_a_scene_is_written_as_its_suffix_says(tmp_path: Path, suffix: str) -> N
         write_scene(tmp_path / f"out{suffix}", scene)
 
 
-def test_a_ply_keeps_the_object_of_each_gaussian(tmp_path: Path) -> None:
+def test_a_ply_keeps_the_object_of_each_gaussian(tmp_path):
     scene = labelled()
     write_scene(tmp_path / "out.ply", scene)
     np.testing.assert_array_equal(read_gaussians(tmp_path / "out.ply").extra["object_id"], scene.object_of)
 
 
-def test_an_unknown_suffix_names_those_there_are(tmp_path: Path) -> None:
+def test_an_unknown_suffix_names_those_there_are(tmp_path):
     with pytest.raises(InputError, match=r"ends in .*Did you mean '\.ply'"):
         write_scene(tmp_path / "out.plyy", labelled())
 
 
-def test_objects_that_there_are_not_are_refused() -> None:
+def test_objects_that_there_are_not_are_refused():
     with pytest.raises(InputError, match="from -1 to -1"):
         LabelledScene(random_gaussians(np.random.default_rng(0), 2), object_of=np.zeros(2, np.int32))
     with pytest.raises(InputError, match="expected 2 numbers"):

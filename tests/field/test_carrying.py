@@ -47,7 +47,7 @@ def spz_of(gaussians: ds.Gaussians) -> bytes:
     return spz_bytes(replace(gaussians, means=gaussians.means * np.array([1, -1, -1], np.float32)), 3)
 
 
-def test_a_compressed_scene_has_each_gaussian_once(known) -> None:
+def test_a_compressed_scene_has_each_gaussian_once(known):
     """SPZ keeps 1/4096 of a unit, so a place may be off by half of that on each axis."""
     _, scene = known
     small, places = compressed(scene)
@@ -57,7 +57,7 @@ def test_a_compressed_scene_has_each_gaussian_once(known) -> None:
     assert 0 < found.distances.max() <= np.sqrt(3) / 8192 * 1.001 < found.reach
 
 
-def test_everything_goes_along(known) -> None:
+def test_everything_goes_along(known):
     field, scene = known
     small, places = compressed(scene)
     carried = carry_field(field, assign(scene, small, threads=1))
@@ -78,7 +78,7 @@ def test_everything_goes_along(known) -> None:
     assert back.equals(field)
 
 
-def test_a_field_that_was_registered_can_be_carried_and_goes_on_growing(tmp_path: Path) -> None:
+def test_a_field_that_was_registered_can_be_carried_and_goes_on_growing(tmp_path):
     from drsplat.field.growing import remove_views
     from toy_capture import write_toy_capture
 
@@ -98,7 +98,7 @@ def test_a_field_that_was_registered_can_be_carried_and_goes_on_growing(tmp_path
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-4, 0.05, 1.0]))
-def test_no_row_is_given_twice_and_none_from_out_of_reach(seed: int, noise: float) -> None:
+def test_no_row_is_given_twice_and_none_from_out_of_reach(seed, noise):
     rng = np.random.default_rng(seed)
     scene = random_gaussians(60, seed)
     scene = replace(scene, means=scene.means[rng.integers(0, 60, 60)])  # some in one place
@@ -111,14 +111,14 @@ def test_no_row_is_given_twice_and_none_from_out_of_reach(seed: int, noise: floa
         assert_array_equal(found.rows, np.arange(60))
 
 
-def test_places_far_from_zero_are_compared_exactly(known) -> None:
+def test_places_far_from_zero_are_compared_exactly(known):
     _, scene = known
     far = replace(scene, origin=np.array([5e5, 5.4e6, 100.0]))
     rows, places = shuffled(far)
     assert_array_equal(assign(far, rows, threads=1).rows, places)
 
 
-def test_another_scene_is_refused_with_numbers_and_cure(known) -> None:
+def test_another_scene_is_refused_with_numbers_and_cure(known):
     field, scene = known
     rng = np.random.default_rng(0)
     other = replace(scene, means=scene.means + rng.normal(0, 0.3, scene.means.shape).astype(np.float32))
@@ -130,7 +130,7 @@ def test_another_scene_is_refused_with_numbers_and_cure(known) -> None:
         assign(scene, scene.subset(np.arange(0)))
 
 
-def test_a_few_that_are_gone_lose_their_feature_and_no_more(known) -> None:
+def test_a_few_that_are_gone_lose_their_feature_and_no_more(known):
     field, scene = known
     few = int(MAX_LOST_SHARE * len(field))
     carried = carry_field(field, assign(scene, scene.subset(np.arange(few, len(scene))), threads=1))
@@ -140,7 +140,7 @@ def test_a_few_that_are_gone_lose_their_feature_and_no_more(known) -> None:
         carry_field(field, assign(scene, scene.subset(np.arange(few + 1, len(scene))), threads=1))
 
 
-def test_names_go_along() -> None:
+def test_names_go_along():
     rows = np.array([5, 4, -1, 0, 1, 2])
     assignment = Assignment(rows, np.zeros(6), 1.0, "6-new", 6)
     label = Label.of("mug", "6-old", np.array([0, 1, 2, 4]), np.zeros(3))
@@ -154,7 +154,7 @@ def test_names_go_along() -> None:
     assert carried.spans.tolist() == [[0, 2]]
 
 
-def test_two_objects_of_one_name_keep_it_and_carrying_again_adds_none(known, tmp_path: Path, capsys) -> None:
+def test_two_objects_of_one_name_keep_it_and_carrying_again_adds_none(known, tmp_path, capsys):
     field, scene = known
     ds.write_gaussians(tmp_path / "scene.ply", scene)
     ds.write_gaussians(tmp_path / "new.ply", shuffled(scene)[0])
@@ -169,7 +169,7 @@ def test_two_objects_of_one_name_keep_it_and_carrying_again_adds_none(known, tmp
         assert [len(label) for label in LabelFile.beside(there).read()] == [500, 500]
 
 
-def test_names_that_cannot_be_read_leave_no_field_behind(known, tmp_path: Path, capsys) -> None:
+def test_names_that_cannot_be_read_leave_no_field_behind(known, tmp_path, capsys):
     field, scene = known
     ds.write_gaussians(tmp_path / "scene.ply", scene)
     field.save(tmp_path / "old.field")
@@ -180,7 +180,7 @@ def test_names_that_cannot_be_read_leave_no_field_behind(known, tmp_path: Path, 
     assert not (tmp_path / "new.field").exists()
 
 
-def test_the_command_does_what_the_refusal_says(known, tmp_path: Path, capsys) -> None:
+def test_the_command_does_what_the_refusal_says(known, tmp_path, capsys):
     field, scene = known
     small, places = compressed(scene)
     ds.write_gaussians(tmp_path / "scene.ply", scene)
@@ -214,7 +214,7 @@ def named(known, tmp_path: Path) -> list[str]:
     return ["field", "carry", old, new, "--scene", before, "--output"]
 
 
-def test_two_objects_of_one_name_keep_it(named, tmp_path: Path) -> None:
+def test_two_objects_of_one_name_keep_it(named, tmp_path):
     there = tmp_path / "new.field"
     assert main([*named, str(there)]) == 0
     assert [(label.name, len(label)) for label in LabelFile.beside(there).read()] == [("mug", 500), ("mug", 400)]
@@ -223,7 +223,7 @@ def test_two_objects_of_one_name_keep_it(named, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_carry_has_the_names_once_it_has_the_field(named, tmp_path: Path, monkeypatch) -> None:
+def test_a_killed_carry_has_the_names_once_it_has_the_field(named, tmp_path, monkeypatch):
     whole, there = tmp_path / "whole" / "new.field", tmp_path / "new" / "new.field"
     whole.parent.mkdir()
     with killed_at(1 << 30, monkeypatch.context) as changes:

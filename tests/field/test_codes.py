@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -60,7 +59,7 @@ def random_codes(rng: np.random.Generator, codebook: Codebook, count: int) -> Co
 
 
 @both_kinds
-def test_scores_are_cosines_of_what_is_decoded(residual: bool) -> None:
+def test_scores_are_cosines_of_what_is_decoded(residual):
     book, rng = small_codebook(residual), np.random.default_rng(1)
     codes, query = random_codes(rng, book, 500), unit_rows(rng, 1, 24)[0]
     decoded = reference_algebra.pq_decode(codes.codes, book.centroids)
@@ -76,7 +75,7 @@ def test_scores_are_cosines_of_what_is_decoded(residual: bool) -> None:
 
 @both_kinds
 @pytest.mark.parametrize("queries", [1, 3, 20, 300])
-def test_all_answers_of_a_code_are_of_one_mind(residual: bool, queries: int) -> None:
+def test_all_answers_of_a_code_are_of_one_mind(residual, queries):
     book, rng = small_codebook(residual), np.random.default_rng(2)
     code, asked = pq_code(book, random_codes(rng, book, 700)), unit_rows(rng, queries, 24)
     assert isinstance(code, Code)
@@ -105,7 +104,7 @@ def test_all_answers_of_a_code_are_of_one_mind(residual: bool, queries: int) -> 
         code.best(asked[:0])
 
 
-def test_any_number_of_coarse_centroids() -> None:
+def test_any_number_of_coarse_centroids():
     plain, rng = small_codebook(), np.random.default_rng(6)
     for count in (1, 256, 257, 600):
         book = Codebook(plain.centroids, unit_rows(rng, count, 24), plain.encoder)
@@ -120,7 +119,7 @@ def unit_coarse(book: Codebook) -> np.ndarray:
     return book.coarse
 
 
-def test_codes_in_groups_are_the_same_codes() -> None:
+def test_codes_in_groups_are_the_same_codes():
     book, rng = small_codebook(True), np.random.default_rng(3)
     codes = random_codes(rng, book, 300)
     code = pq_code(book, codes)
@@ -135,7 +134,7 @@ def test_codes_in_groups_are_the_same_codes() -> None:
     assert_array_equal(marked.top(query[0], 1000).rows, code.top(query[0], 1000).rows)
 
 
-def test_a_code_that_does_not_fit_its_codebook_is_refused() -> None:
+def test_a_code_that_does_not_fit_its_codebook_is_refused():
     book, rng = small_codebook(True), np.random.default_rng(4)
     code = pq_code(book, random_codes(rng, book, 300))
     ids = code.coarse_ids
@@ -154,7 +153,7 @@ def test_a_code_that_does_not_fit_its_codebook_is_refused() -> None:
 
 
 @pytest.mark.parametrize("worst", [np.nan, np.inf, 1e30])
-def test_centroids_whose_norms_are_no_float32_are_refused(worst: float) -> None:
+def test_centroids_whose_norms_are_no_float32_are_refused(worst):
     book = small_codebook(True)
     assert book.coarse is not None
     for name in ("centroids", "coarse"):
@@ -164,7 +163,7 @@ def test_centroids_whose_norms_are_no_float32_are_refused(worst: float) -> None:
             replace(book, **{name: spoiled})
 
 
-def test_short_rows_get_finer_tables() -> None:
+def test_short_rows_get_finer_tables():
     """Scores are divided by norms: of a row ten times too short the error would be ten times as large."""
     book, rng = small_codebook(), np.random.default_rng(5)
     small = Codebook(book.centroids / 10, None, book.encoder)
@@ -177,7 +176,7 @@ def test_short_rows_get_finer_tables() -> None:
 
 @few
 @given(st.integers(0, 2**32))
-def test_coding_what_was_decoded_changes_nothing(seed: int) -> None:
+def test_coding_what_was_decoded_changes_nothing(seed):
     book = small_codebook()
     codes = random_codes(np.random.default_rng(seed), book, 20)
     decoded = book.decode(codes)
@@ -187,14 +186,14 @@ def test_coding_what_was_decoded_changes_nothing(seed: int) -> None:
 
 
 @both_kinds
-def test_a_row_is_coded_alike_alone_and_among_others(residual: bool) -> None:
+def test_a_row_is_coded_alike_alone_and_among_others(residual):
     book, points = small_codebook(residual), clustered(np.random.default_rng(2), 9000, 24)
     together, alone = book.encode(points), book.encode(points[8500:8501])
     assert_array_equal(together.codes[8500], alone.codes[0])
     assert_array_equal(together.rows(slice(8500, 8501)).coarse_ids, alone.coarse_ids)
 
 
-def test_encoding_agrees_with_faiss_but_for_ties() -> None:
+def test_encoding_agrees_with_faiss_but_for_ties():
     faiss = pytest.importorskip("faiss")
     rng = np.random.default_rng(3)
     features = unit_rows(rng, 3000, 64)
@@ -223,7 +222,7 @@ def faiss_index(book: Codebook):
 
 
 @pytest.mark.oracle
-def test_our_codebook_serves_as_an_index_of_faiss(tmp_path: Path) -> None:
+def test_our_codebook_serves_as_an_index_of_faiss(tmp_path):
     """It codes, decodes and searches alike there, and comes back from its file to the bit."""
     faiss = pytest.importorskip("faiss")
     rng = np.random.default_rng(13)
@@ -252,7 +251,7 @@ def clear_cut(book: Codebook, points: np.ndarray) -> np.ndarray:
     return np.asarray(errors[..., 1] - errors[..., 0] > 1e-6)
 
 
-def test_training_is_as_good_as_that_of_faiss() -> None:
+def test_training_is_as_good_as_that_of_faiss():
     faiss = pytest.importorskip("faiss")
     rng = np.random.default_rng(4)
     points, unseen = clustered(rng, 6000, 32), clustered(rng, 2000, 32)
@@ -266,14 +265,14 @@ def test_training_is_as_good_as_that_of_faiss() -> None:
     assert errors[0] <= 1.05 * errors[1]
 
 
-def test_training_gives_the_same_bits_for_any_number_of_threads() -> None:
+def test_training_gives_the_same_bits_for_any_number_of_threads():
     points = clustered(np.random.default_rng(5), 3000, 24)
     books = [train_codebook(points, 6, encoder=SMALL, threads=t) for t in (1, 2, 3)]
     assert len({book.hash for book in books}) == 1
     assert train_codebook(points, 6, encoder=SMALL, seed=1).hash != books[0].hash
 
 
-def test_more_points_than_are_used_are_sampled_over_all_of_them() -> None:
+def test_more_points_than_are_used_are_sampled_over_all_of_them():
     points = np.repeat(unit_rows(np.random.default_rng(6), 2, 24), 20_000, axis=0)
     book = train_codebook(points, 6, encoder=SMALL)
     assert_array_equal(book.decode(book.encode(points[[0, -1]])), points[[0, -1]])
@@ -281,14 +280,14 @@ def test_more_points_than_are_used_are_sampled_over_all_of_them() -> None:
 
 @few
 @given(st.integers(1, 256), st.integers(0, 2**32))
-def test_few_distinct_points_are_coded_without_loss(count: int, seed: int) -> None:
+def test_few_distinct_points_are_coded_without_loss(count, seed):
     rng = np.random.default_rng(seed)
     points = unit_rows(rng, count, 24)[rng.integers(0, count, 2 * count)]
     book = train_codebook(points, 6, encoder=SMALL)
     assert_array_equal(book.decode(book.encode(points)), points)
 
 
-def test_a_constant_part_among_rich_ones_is_coded_without_loss() -> None:
+def test_a_constant_part_among_rich_ones_is_coded_without_loss():
     points = clustered(np.random.default_rng(7), 1500, 24)
     points[:, 4:8] = 0.125
     book = train_codebook(points, 6, encoder=SMALL)
@@ -296,7 +295,7 @@ def test_a_constant_part_among_rich_ones_is_coded_without_loss() -> None:
 
 
 @both_kinds
-def test_a_codebook_comes_back_from_disk_to_the_bit(residual: bool, tmp_path: Path) -> None:
+def test_a_codebook_comes_back_from_disk_to_the_bit(residual, tmp_path):
     book, path = small_codebook(residual), tmp_path / "a.codebook"
     save_codebook(book, path)
     again = load_codebook(path)
@@ -308,7 +307,7 @@ def test_a_codebook_comes_back_from_disk_to_the_bit(residual: bool, tmp_path: Pa
         save_codebook(book, path)
 
 
-def test_the_hash_covers_everything() -> None:
+def test_the_hash_covers_everything():
     book = small_codebook(True)
     other = EncoderIdentity("another", 24)
     changed = book.centroids.copy()
@@ -325,7 +324,7 @@ def test_the_hash_covers_everything() -> None:
     assert len(hashes) == 6
 
 
-def test_a_changed_byte_of_a_codebook_file_is_noticed(tmp_path: Path) -> None:
+def test_a_changed_byte_of_a_codebook_file_is_noticed(tmp_path):
     path = tmp_path / "a.codebook"
     save_codebook(small_codebook(), path)
     content = bytearray(path.read_bytes())
@@ -335,7 +334,7 @@ def test_a_changed_byte_of_a_codebook_file_is_noticed(tmp_path: Path) -> None:
         load_codebook(path)
 
 
-def test_what_does_not_belong_together_is_refused() -> None:
+def test_what_does_not_belong_together_is_refused():
     plain, residual = small_codebook(), small_codebook(True)
     codes = random_codes(np.random.default_rng(8), residual, 5)
     with pytest.raises(MismatchError, match="encoder"):
@@ -352,7 +351,7 @@ def test_what_does_not_belong_together_is_refused() -> None:
         official_bytes(plain.encode(unit_rows(np.random.default_rng(0), 9, 24)))
 
 
-def test_official_rows_without_a_feature_are_left_out_and_bad_ones_refused() -> None:
+def test_official_rows_without_a_feature_are_left_out_and_bad_ones_refused():
     book = small_codebook(True)
     codes = random_codes(np.random.default_rng(9), book, 6)
     codes.codes[4] = 255  # a legal code: only all 8 bytes 255 mark absence
@@ -379,7 +378,7 @@ def official() -> Codebook:
 
 
 @pytest.mark.data
-def test_the_authors_index_is_read_as_faiss_reads_it() -> None:
+def test_the_authors_index_is_read_as_faiss_reads_it():
     faiss = pytest.importorskip("faiss")
     book, rng = official(), np.random.default_rng(10)
     assert book.coarse is not None
@@ -394,7 +393,7 @@ def test_the_authors_index_is_read_as_faiss_reads_it() -> None:
 
 
 @pytest.mark.data
-def test_features_are_coded_as_with_the_authors_index() -> None:
+def test_features_are_coded_as_with_the_authors_index():
     faiss = pytest.importorskip("faiss")
     book, rng = official(), np.random.default_rng(11)
     features = book.decode(random_codes(rng, book, 300))
@@ -406,7 +405,7 @@ def test_features_are_coded_as_with_the_authors_index() -> None:
 
 
 @pytest.mark.parametrize("kind", ["PQ", "IVFPQ", "IVFPQ with vectors", "IVFPQ, L2, no residual"])
-def test_indices_that_faiss_writes_are_read(kind: str, tmp_path: Path) -> None:
+def test_indices_that_faiss_writes_are_read(kind, tmp_path):
     faiss = pytest.importorskip("faiss")
     points, path = clustered(np.random.default_rng(12), 2000, 24), tmp_path / "a.faiss"
     if kind == "PQ":
@@ -431,7 +430,7 @@ def test_indices_that_faiss_writes_are_read(kind: str, tmp_path: Path) -> None:
         assert_array_equal(book.coarse, index.quantizer.reconstruct_n(0, 16))
 
 
-def test_other_indices_are_refused_by_name(tmp_path: Path) -> None:
+def test_other_indices_are_refused_by_name(tmp_path):
     faiss = pytest.importorskip("faiss")
     path = tmp_path / "flat.faiss"
     faiss.write_index(faiss.IndexFlatIP(24), str(path))

@@ -59,7 +59,7 @@ def mixed_field() -> LanguageField:
 
 @few
 @given(st.integers(0, 60), st.integers(0, 999))
-def test_columns_are_summed_as_scipy_does(count: int, seed: int) -> None:
+def test_columns_are_summed_as_scipy_does(count, seed):
     """To the bit, also of rows that come twice or are empty."""
     rng = np.random.default_rng(seed)
     evidence = random_evidence(rng)
@@ -67,7 +67,7 @@ def test_columns_are_summed_as_scipy_does(count: int, seed: int) -> None:
     assert_array_equal(evidence.column_sums(rows), evidence.weights[rows].sum(axis=0))
 
 
-def test_evidence_of_a_file_is_what_was_saved(tmp_path: Path) -> None:
+def test_evidence_of_a_file_is_what_was_saved(tmp_path):
     field = toy_field()
     field.save(tmp_path / "toy.field")
     stored = load_field(tmp_path / "toy.field").evidence
@@ -80,7 +80,7 @@ def test_evidence_of_a_file_is_what_was_saved(tmp_path: Path) -> None:
     assert_array_equal(other.entries.data, other.weights.data)
 
 
-def test_features_are_the_normalised_means_of_their_evidence() -> None:
+def test_features_are_the_normalised_means_of_their_evidence():
     evidence = random_evidence(np.random.default_rng(0))
     field = build_field(evidence, SCENE, TOY)
     rows = evidence.weights.astype(np.float64) @ evidence.embeddings.astype(np.float64)
@@ -94,7 +94,7 @@ def test_features_are_the_normalised_means_of_their_evidence() -> None:
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field])
-def test_scores_are_cosines(make) -> None:  # type: ignore[no-untyped-def]
+def test_scores_are_cosines(make):  # type: ignore[no-untyped-def]
     field, query = make(), 7 * unit_rows(np.random.default_rng(1), 1, 32)[0]
     decoded = field.codebook.decode(field.code.codes()).astype(np.float64)
     expected = decoded @ (query / 7) / np.linalg.norm(decoded, axis=1)
@@ -103,7 +103,7 @@ def test_scores_are_cosines(make) -> None:  # type: ignore[no-untyped-def]
 
 @few
 @given(st.integers(1, 6), st.integers(0, 2**32))
-def test_relevancy_is_the_least_two_way_softmax(count: int, seed: int) -> None:
+def test_relevancy_is_the_least_two_way_softmax(count, seed):
     field, rng = toy_field(), np.random.default_rng(seed)
     query, negatives = unit_rows(rng, 1, 32)[0], unit_rows(rng, count, 32)
     positive = field.scores(query).astype(np.float64)
@@ -121,12 +121,12 @@ def test_relevancy_is_the_least_two_way_softmax(count: int, seed: int) -> None:
 
 @few
 @given(st.floats(-1, 1), st.floats(-1, 1))
-def test_relevancy_of_scores(score: float, negative: float) -> None:
+def test_relevancy_of_scores(score, negative):
     value = relevancy_from_scores(np.array([score], "f"), np.array([negative], "f"))[0]
     assert value == pytest.approx(1 / (1 + np.exp(10 * (negative - score))), abs=1e-6)
 
 
-def test_relevancy_without_negatives_is_refused() -> None:
+def test_relevancy_without_negatives_is_refused():
     field, query = toy_field(), np.ones(32, np.float32)
     with pytest.raises(InputError, match="with_negatives"):
         field.relevancy(query)
@@ -136,7 +136,7 @@ def test_relevancy_without_negatives_is_refused() -> None:
         field.with_negatives(unit_rows(np.random.default_rng(0), 2, 32), ("one",))
 
 
-def test_dense_scores_have_a_fill_where_nothing_is_known() -> None:
+def test_dense_scores_have_a_fill_where_nothing_is_known():
     field = toy_field()
     scores = field.scores(np.ones(32, np.float32))
     dense = field.dense(scores, fill=-2)
@@ -145,7 +145,7 @@ def test_dense_scores_have_a_fill_where_nothing_is_known() -> None:
     assert_array_equal(dense[absent], -2)
 
 
-def test_an_explanation_names_the_photos_and_masks_with_the_largest_support() -> None:
+def test_an_explanation_names_the_photos_and_masks_with_the_largest_support():
     embeddings = np.eye(4, dtype=np.float32)[[0, 0, 1, 0]]
     masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
     weights = csr_array(np.array([[1, 3, 5, 0], [0, 0, 0, 2], [0] * 4, [0, 0, 1, 0]], np.float32))
@@ -160,7 +160,7 @@ def test_an_explanation_names_the_photos_and_masks_with_the_largest_support() ->
         field.explain(4, query)
 
 
-def test_rows_whose_embeddings_cancel_have_no_feature() -> None:
+def test_rows_whose_embeddings_cancel_have_no_feature():
     embeddings = np.array([[1, 0], [-1, 0], [0, 1]], np.float32)
     masks = MaskIds(("a",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
     weights = csr_array(np.array([[2, 2, 0], [0, 0, 1], [0, 0, 0], [1, 0, 0]], np.float32))
@@ -171,14 +171,14 @@ def test_rows_whose_embeddings_cancel_have_no_feature() -> None:
     assert len(field.evidence) == 2
 
 
-def test_a_field_is_the_same_to_the_bit_for_any_number_of_threads() -> None:
+def test_a_field_is_the_same_to_the_bit_for_any_number_of_threads():
     evidence = random_evidence(np.random.default_rng(2), rows=9000)
     fields = [build_field(evidence, SCENE, TOY, threads=threads) for threads in (1, 2, 3)]
     for field in fields[1:]:
         same_field(field, fields[0])
 
 
-def test_building_shares_the_weights_and_never_copies_them() -> None:
+def test_building_shares_the_weights_and_never_copies_them():
     evidence = random_evidence(np.random.default_rng(3))
     field = build_field(evidence, SCENE, TOY)
     assert field.evidence is not None
@@ -186,12 +186,12 @@ def test_building_shares_the_weights_and_never_copies_them() -> None:
     assert_array_equal(field.evidence.weights.toarray(), evidence.weights.toarray()[field.gaussian_ids])
 
 
-def test_some_rows_of_the_evidence() -> None:
+def test_some_rows_of_the_evidence():
     evidence, index = random_evidence(np.random.default_rng(4)), np.array([5, 3, 3, 100])
     assert_array_equal(evidence.rows(index).weights.toarray(), evidence.weights.toarray()[index])
 
 
-def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence() -> None:
+def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence():
     """Columns out of order, and votes that neighbours lend."""
     rng = np.random.default_rng(8)
     evidence = random_evidence(rng)
@@ -212,7 +212,7 @@ def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence(
     assert ((lent.feature(slice(None)) * own).sum(axis=1)).min() > 0.999
 
 
-def test_any_dimension_finds_a_number_of_parts() -> None:
+def test_any_dimension_finds_a_number_of_parts():
     for dim, parts in ((1, 1), (12, 4), (36, 4), (512, 128), (768, 128)):
         evidence = random_evidence(np.random.default_rng(5), rows=40, dim=dim)
         field = build_field(evidence, SCENE, EncoderIdentity("e", dim))
@@ -221,8 +221,8 @@ def test_any_dimension_finds_a_number_of_parts() -> None:
 
 @pytest.mark.parametrize("make", [toy_field, residual_field, mixed_field])
 def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(  # type: ignore[no-untyped-def]
-    make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    make, tmp_path, monkeypatch
+):
     monkeypatch.setattr(contents, "MAX_READ_BYTES", 0)
     negatives = unit_rows(np.random.default_rng(6), 2, 32)
     field = make().with_negatives(negatives, ("this", "that"))
@@ -262,7 +262,7 @@ def is_mapped(array: np.ndarray) -> bool:
     return isinstance(base, np.memmap)
 
 
-def test_a_field_without_evidence_is_saved_without_it(tmp_path: Path) -> None:
+def test_a_field_without_evidence_is_saved_without_it(tmp_path):
     field = toy_field()
     bare = LanguageField(field.gaussian_ids, field.code, field.encoder, field.scene, field.num_gaussians)
     bare.save(tmp_path / "a.field")
@@ -273,14 +273,14 @@ def test_a_field_without_evidence_is_saved_without_it(tmp_path: Path) -> None:
         again.explain(0, np.ones(32, np.float32))
 
 
-def test_saving_is_reproducible(tmp_path: Path) -> None:
+def test_saving_is_reproducible(tmp_path):
     for name in "ab":
         toy_field().save(tmp_path / name)
     for file in os.listdir(tmp_path / "a"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
-def test_saving_replaces_only_fields_and_only_when_told_to(tmp_path: Path) -> None:
+def test_saving_replaces_only_fields_and_only_when_told_to(tmp_path):
     path = tmp_path / "a.field"
     toy_field(0).save(path)
     with pytest.raises(InputError, match="overwrite"):
@@ -300,9 +300,7 @@ def test_saving_replaces_only_fields_and_only_when_told_to(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("exchange", [True, False])
 @pytest.mark.parametrize("step", ["write_tensors", "_take_place"])
-def test_a_failed_save_leaves_the_old_field(
-    exchange: bool, step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_save_leaves_the_old_field(exchange, step, tmp_path, monkeypatch):
     from drsplat.formats import field_folder
 
     path = tmp_path / "a.field"
@@ -337,7 +335,7 @@ KILLED = """
 
 
 @pytest.mark.slow
-def test_a_killed_save_leaves_one_whole_field(tmp_path: Path) -> None:
+def test_a_killed_save_leaves_one_whole_field(tmp_path):
     path, rng = tmp_path / "a.field", np.random.default_rng(7)
     toy_field(0).save(path)
     known = {toy_field(seed).fingerprint for seed in (0, 1)}
@@ -355,7 +353,7 @@ def test_a_killed_save_leaves_one_whole_field(tmp_path: Path) -> None:
         assert field.evidence is not None
 
 
-def test_another_scene_is_refused() -> None:
+def test_another_scene_is_refused():
     rng = np.random.default_rng(8)
 
     def gaussians(count: int) -> Gaussians:
@@ -372,7 +370,7 @@ def test_another_scene_is_refused() -> None:
         field.check_scene(scene.subset(np.arange(599)))
 
 
-def test_another_encoder_is_refused() -> None:
+def test_another_encoder_is_refused():
     field = toy_field()
     field.check_encoder(EncoderIdentity("toy", 32, ""))
     for other in (EncoderIdentity("toy", 64), EncoderIdentity("toy", 32, "w1")):
@@ -389,14 +387,14 @@ def test_another_encoder_is_refused() -> None:
         build_field(evidence, SCENE, EncoderIdentity("toy", 16))
 
 
-def test_no_evidence_at_all_is_refused() -> None:
+def test_no_evidence_at_all_is_refused():
     evidence = random_evidence(np.random.default_rng(10))
     empty = csr_array((600, 40), dtype=np.float32)
     with pytest.raises(InputError, match="no Gaussian is under any mask"):
         build_field(Evidence(empty, evidence.masks, evidence.embeddings), SCENE, TOY)
 
 
-def test_evidence_that_does_not_fit_is_refused() -> None:
+def test_evidence_that_does_not_fit_is_refused():
     good = random_evidence(np.random.default_rng(11))
     with pytest.raises(InputError, match="unit vectors"):
         Evidence(good.weights, good.masks, 2 * good.embeddings)
@@ -407,7 +405,7 @@ def test_evidence_that_does_not_fit_is_refused() -> None:
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field, mixed_field])
-def test_what_is_found_is_what_the_scores_say(make) -> None:  # type: ignore[no-untyped-def]
+def test_what_is_found_is_what_the_scores_say(make):  # type: ignore[no-untyped-def]
     field, rng = make(), np.random.default_rng(11)
     queries = 3 * unit_rows(rng, 5, 32)
     scores = field.scores(queries)
@@ -446,7 +444,7 @@ def as_version_1(path: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field])
-def test_fields_of_the_first_version_are_read(make, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_fields_of_the_first_version_are_read(make, tmp_path):  # type: ignore[no-untyped-def]
     field = make()
     field.save(tmp_path / "a")
     as_version_1(tmp_path / "a")
@@ -456,7 +454,7 @@ def test_fields_of_the_first_version_are_read(make, tmp_path: Path) -> None:  # 
     assert_array_equal(old.scores(query), field.scores(query))
 
 
-def test_codes_begin_at_a_cache_line(tmp_path: Path) -> None:
+def test_codes_begin_at_a_cache_line(tmp_path):
     for seed, rows in enumerate((600, 601, 777)):
         field = build_field(random_evidence(np.random.default_rng(seed), rows), SCENE, TOY)
         field.save(tmp_path / str(seed))
@@ -475,7 +473,7 @@ def saved(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("file", ["codes.safetensors", "evidence.safetensors", "field.json"])
-def test_files_of_two_fields_do_not_mix(file: str, saved: Path, tmp_path: Path) -> None:
+def test_files_of_two_fields_do_not_mix(file, saved, tmp_path):
     toy_field(1).save(tmp_path / "b")
     (saved / file).write_bytes((tmp_path / "b" / file).read_bytes())
     with pytest.raises(MismatchError, match="do not mix"):
@@ -483,7 +481,7 @@ def test_files_of_two_fields_do_not_mix(file: str, saved: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("file", ["codes", "evidence", "negatives"])
-def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
+def test_a_missing_file_is_noticed(file, saved):
     (saved / f"{file}.safetensors").unlink()
     with pytest.raises(FormatError, match="incomplete"):
         load_field(saved)
@@ -507,7 +505,7 @@ def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
         ("negatives", ["one"], "1 negative texts for 2"),
     ],
 )
-def test_a_changed_manifest_is_refused(entry: str, value: object, message: str, saved: Path) -> None:
+def test_a_changed_manifest_is_refused(entry, value, message, saved):
     (saved / "field.json").write_text(json.dumps(sealed(manifest_of(saved) | {entry: value})))
     with pytest.raises((FormatError, MismatchError), match=message):
         load_field(saved)
@@ -547,13 +545,13 @@ def rewritten(path: Path, **changes: np.ndarray | None) -> None:
         ("negatives", {"embeddings": np.zeros((2, 31), np.float32)}),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(file: str, changes: dict[str, np.ndarray | None], saved: Path) -> None:
+def test_arrays_that_do_not_fit_are_refused(file, changes, saved):
     rewritten(saved / f"{file}.safetensors", **changes)
     with pytest.raises(FormatError):
         load_field(saved)
 
 
-def test_our_files_are_plain_safetensors(saved: Path, tmp_path: Path) -> None:
+def test_our_files_are_plain_safetensors(saved, tmp_path):
     ours, _ = map_tensors(saved / "codes.safetensors")
     theirs = load_file(saved / "codes.safetensors")
     assert ours.keys() == theirs.keys()
@@ -566,7 +564,7 @@ def test_our_files_are_plain_safetensors(saved: Path, tmp_path: Path) -> None:
         assert_array_equal(array, theirs[name])
 
 
-def test_rows_of_gaussians() -> None:
+def test_rows_of_gaussians():
     field = toy_field()
     ids = field.gaussian_ids.astype(np.int64)
     assert_array_equal(field.rows_of(ids[::-1]), np.arange(len(field))[::-1])

@@ -2,12 +2,12 @@
 
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from scipy.sparse import csr_array
 
 from drsplat import load_field
@@ -102,7 +102,7 @@ def test_only_rows_that_are_seen_are_coded_again():
     assert any(count == whole for count, whole in zip(coded, total, strict=True))
 
 
-def test_a_view_more_seldom_changes_what_is_learnt_from(monkeypatch: pytest.MonkeyPatch):
+def test_a_view_more_seldom_changes_what_is_learnt_from(monkeypatch):
     """With a chance of LEARNT_FROM / V, whatever its name."""
     monkeypatch.setattr(learning, "MAX_LEARNING_VIEWS", 8)
     names = [f"photo_{number:03d}.jpg" for number in range(100)]
@@ -229,7 +229,7 @@ def test_what_does_not_belong_together_is_refused():
     assert "another" in grown.growth.provenance.isa.split("+")
 
 
-def test_two_writers_do_not_share_a_field(tmp_path: Path):
+def test_two_writers_do_not_share_a_field(tmp_path):
     path = tmp_path / "a.field"
     at_once(NAMES[:3], PQ(4)).save(path)
     before = files_of(path)
@@ -264,7 +264,7 @@ def test_columns_that_come_and_go_are_those_of_dense_matrices(seed, gone, count)
     old, new = evidence(sorted(names[:6])), evidence(sorted(names[6:]))
     mask = np.isin(np.arange(6), list(gone))
     fewer = without_views(old, mask)
-    np.testing.assert_array_equal(fewer.weights.toarray(), old.weights.toarray()[:, ~mask[old.masks.views]])
+    assert_array_equal(fewer.weights.toarray(), old.weights.toarray()[:, ~mask[old.masks.views]])
     assert fewer.masks.view_names == tuple(name for name, goes in zip(sorted(names[:6]), mask, strict=True) if not goes)
     both = with_views(fewer, new)
     assert both.masks.view_names == tuple(sorted(fewer.masks.view_names + new.masks.view_names))
@@ -272,7 +272,7 @@ def test_columns_that_come_and_go_are_those_of_dense_matrices(seed, gone, count)
         for number, name in enumerate(part.masks.view_names):
             here = both.masks.views == both.masks.view_names.index(name)
             its = part.masks.views == number
-            np.testing.assert_array_equal(both.weights.toarray()[:, here], part.weights.toarray()[:, its])
-            np.testing.assert_array_equal(both.masks.ids[here], part.masks.ids[its])
+            assert_array_equal(both.weights.toarray()[:, here], part.weights.toarray()[:, its])
+            assert_array_equal(both.masks.ids[here], part.masks.ids[its])
     assert both.weights.has_canonical_format
     assert (both.weights.indptr.dtype, both.weights.indices.dtype) == (np.int32, np.int32)

@@ -1,7 +1,6 @@
 """The mixture code: from evidence to rows that are searched, explained and handed on."""
 
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,13 +44,13 @@ def rows_of(found: MixtureCode) -> tuple[np.ndarray, np.ndarray]:
     return ids, weights
 
 
-def test_it_is_a_code() -> None:
+def test_it_is_a_code():
     assert isinstance(code(), Code)
     assert code().kind == "mixture"
     assert (len(code()), code().dim, code().atoms_per_row, code().row_bytes) == (900, 32, 4, 14)
 
 
-def test_quantised_vectors_have_unit_length_and_hardly_turn() -> None:
+def test_quantised_vectors_have_unit_length_and_hardly_turn():
     vectors = 7 * unit_rows(np.random.default_rng(1), 50, 300)
     vectors[3] = 0
     found = reference_mixture.atoms(quantised(vectors))
@@ -63,14 +62,14 @@ def test_quantised_vectors_have_unit_length_and_hardly_turn() -> None:
         quantised(np.full((1, 2), np.inf, np.float32))
 
 
-def test_vectors_too_short_to_be_scaled_count_as_none() -> None:
+def test_vectors_too_short_to_be_scaled_count_as_none():
     """Warnings are errors: 127 over such an entry is infinite."""
     found = quantised(np.array([[1e-38, 0, 0], [1e-36, 0, 0]], np.float32))
     assert found.values.tolist() == [[0, 0, 0], [127, 0, 0]]
     assert found.scales[0] == 0
 
 
-def test_rows_of_up_to_four_masks_are_kept() -> None:
+def test_rows_of_up_to_four_masks_are_kept():
     lengths = np.diff(evidence().weights.indptr)
     short = (lengths > 0) & (lengths <= 4)
     features = evidence().features(0, 900)[short]
@@ -79,7 +78,7 @@ def test_rows_of_up_to_four_masks_are_kept() -> None:
     assert np.einsum("nd,nd->n", features, decoded).min() > 0.998  # of eight bits per number and weight
 
 
-def test_decoded_rows_have_unit_length_or_none() -> None:
+def test_decoded_rows_have_unit_length_or_none():
     lengths = np.linalg.norm(code().decode(slice(None)), axis=1)
     seen = np.diff(evidence().weights.indptr) > 0
     assert 0 < seen.sum() < 900
@@ -87,14 +86,14 @@ def test_decoded_rows_have_unit_length_or_none() -> None:
     assert not lengths[~seen].any()
 
 
-def test_scores_are_cosines_of_what_is_decoded() -> None:
+def test_scores_are_cosines_of_what_is_decoded():
     queries = unit_rows(np.random.default_rng(2), 5, 32)
     scores = code().scores(queries)
     assert_allclose(scores, queries @ code().decode(slice(None)).T, atol=4e-5)
     assert not scores[:, np.diff(evidence().weights.indptr) == 0].any()
 
 
-def test_all_ways_to_search_agree() -> None:
+def test_all_ways_to_search_agree():
     queries = unit_rows(np.random.default_rng(3), 6, 32)
     scores = code().scores(queries)
     hits = code().select(queries[0], 0.2)
@@ -108,7 +107,7 @@ def test_all_ways_to_search_agree() -> None:
     assert_array_equal(best.runner_up, np.sort(scores, axis=0)[-2])
 
 
-def test_rows_are_made_of_their_own_masks_and_of_scene_atoms() -> None:
+def test_rows_are_made_of_their_own_masks_and_of_scene_atoms():
     ids, weights = rows_of(code())
     masks, w = code().atoms.masks, evidence().weights
     for i in range(900):
@@ -118,14 +117,14 @@ def test_rows_are_made_of_their_own_masks_and_of_scene_atoms() -> None:
     assert len(np.unique(masks[masks >= 0])) == (masks >= 0).sum()
 
 
-def test_atoms_that_no_row_uses_are_left_out() -> None:
+def test_atoms_that_no_row_uses_are_left_out():
     ids, weights = rows_of(code())
     uses = np.bincount(ids[weights > 0], minlength=len(code().atoms))
     assert (uses > 0).all()
     assert (np.diff(uses) <= 0).all()
 
 
-def test_scene_atoms_help() -> None:
+def test_scene_atoms_help():
     rng = np.random.default_rng(4)
     base = random_evidence(rng, rows=2000, columns=60)
     features = base.features(0, 2000)
@@ -136,7 +135,7 @@ def test_scene_atoms_help() -> None:
     assert cosines[1] > cosines[0] + 0.01
 
 
-def test_spherical_kmeans_finds_what_is_there() -> None:
+def test_spherical_kmeans_finds_what_is_there():
     rng = np.random.default_rng(5)
     things = unit_rows(rng, 12, 24)
     points = things[rng.integers(0, 12, 2000)] + 0.02 * rng.standard_normal((2000, 24))
@@ -148,7 +147,7 @@ def test_spherical_kmeans_finds_what_is_there() -> None:
     assert (atoms.near(points)[:, 0] == nearest).mean() > 0.9
 
 
-def test_idle_centres_move_to_where_the_fit_is_worst() -> None:
+def test_idle_centres_move_to_where_the_fit_is_worst():
     points = np.repeat(np.eye(3, dtype=np.float32), [8, 1, 1], axis=0)
     centres = np.eye(3, dtype=np.float32)[[0, 0, 0]]
     moved = scene_atoms._means(points, np.zeros(10, np.int32), centres, 1)
@@ -157,13 +156,13 @@ def test_idle_centres_move_to_where_the_fit_is_worst() -> None:
         train_scene_atoms(points[:0], 3)
 
 
-def test_threads_change_no_bit() -> None:
+def test_threads_change_no_bit():
     one, three = (encode_mixture(evidence(), scene_atoms=20, threads=t) for t in (1, 3))
     for name, array in one.tensors().items():
         assert_array_equal(array, three.tensors()[name])
 
 
-def test_more_masks_than_ids_keep_those_used_most(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_masks_than_ids_keep_those_used_most(monkeypatch):
     """65,536 is far more than a test wants; the rule is the same."""
     full = encode_mixture(evidence(), scene_atoms=5)
     monkeypatch.setattr(encoding, "MAX_ATOMS", 25)
@@ -176,7 +175,7 @@ def test_more_masks_than_ids_keep_those_used_most(monkeypatch: pytest.MonkeyPatc
     assert 0.6 < fits[0] < fits[1]
 
 
-def test_what_cannot_be_coded_is_refused() -> None:
+def test_what_cannot_be_coded_is_refused():
     nothing = evidence().rows(np.arange(0))
     with pytest.raises(InputError, match="0 rows"):
         encode_mixture(nothing)
@@ -188,7 +187,7 @@ def test_what_cannot_be_coded_is_refused() -> None:
             encode_mixture(evidence(), scene_atoms=atoms)
 
 
-def test_rows_without_any_mask_are_zero() -> None:
+def test_rows_without_any_mask_are_zero():
     empty = evidence().rows(np.flatnonzero(np.diff(evidence().weights.indptr) == 0))
     found = encode_mixture(empty, scene_atoms=3)
     assert len(found) == len(empty) > 0
@@ -196,7 +195,7 @@ def test_rows_without_any_mask_are_zero() -> None:
     assert not found.scores(unit_rows(np.random.default_rng(6), 2, 32)).any()
 
 
-def test_the_masks_behind_a_score_are_named() -> None:
+def test_the_masks_behind_a_score_are_named():
     query = unit_rows(np.random.default_rng(7), 1, 32)[0]
     row = int(code().top(query, 1).rows[0])
     parts = code().parts(row, query, top=10)
@@ -212,7 +211,7 @@ def test_the_masks_behind_a_score_are_named() -> None:
         code().parts(900, query)
 
 
-def test_some_rows_are_a_code_of_their_own() -> None:
+def test_some_rows_are_a_code_of_their_own():
     index = np.array([5, 899, 0, 5, 64])
     part = code().rows(index)
     assert_array_equal(part.decode(slice(None)), code().decode(index))
@@ -221,7 +220,7 @@ def test_some_rows_are_a_code_of_their_own() -> None:
     assert len(code().rows(slice(0, 0)).top(query[0], 3).rows) == 0
 
 
-def test_it_can_always_become_a_product_quantised_code() -> None:
+def test_it_can_always_become_a_product_quantised_code():
     decoded = code().decode(slice(None))
     directed = decoded[decoded.any(axis=1)]
     plain = train_codebook(directed, 8, encoder=TOY)
@@ -235,7 +234,7 @@ def test_it_can_always_become_a_product_quantised_code() -> None:
         recoded(code(), other)
 
 
-def test_a_file_holds_it(tmp_path: Path) -> None:
+def test_a_file_holds_it(tmp_path):
     write_tensors(tmp_path / "a", code().tensors())
     tensors, _ = map_tensors(tmp_path / "a")
     found = mixture_from_tensors(tensors, "a")
@@ -247,7 +246,7 @@ def test_a_file_holds_it(tmp_path: Path) -> None:
     assert found.nbytes + found.atoms.nbytes == code().nbytes + code().atoms.nbytes < size
 
 
-def test_missing_arrays_are_named() -> None:
+def test_missing_arrays_are_named():
     for name in code().tensors():
         others = {key: array for key, array in code().tensors().items() if key != name}
         with pytest.raises(FormatError, match=name):
@@ -255,7 +254,7 @@ def test_missing_arrays_are_named() -> None:
 
 
 @pytest.mark.slow
-def test_encoding_never_holds_all_features() -> None:
+def test_encoding_never_holds_all_features():
     rng = np.random.default_rng(11)
     large = random_evidence(rng, rows=60_000, columns=50, dim=512)  # 123 MB of features
     encode_mixture(large.rows(np.arange(9000)), scene_atoms=30, threads=1)  # what stays loaded
@@ -264,7 +263,7 @@ def test_encoding_never_holds_all_features() -> None:
     assert len(found) == 60_000
 
 
-def test_the_smaller_code_is_chosen() -> None:
+def test_the_smaller_code_is_chosen():
     assert choose_code(1_000_000, 30_000, 512).name == "mixture"
     assert choose_code(100_000, 30_000, 512).name == "pq"
     assert choose_code(5_000, 300, 512).name == "mixture"
@@ -278,7 +277,7 @@ def test_the_smaller_code_is_chosen() -> None:
     assert Smaller().chosen(100_000, 30_000, 512) == PQ()
 
 
-def test_a_field_takes_the_code_it_is_told() -> None:
+def test_a_field_takes_the_code_it_is_told():
     assert build_field(evidence(), SCENE, TOY, PQ(4)).codebook.num_subvectors == 4
     assert build_field(evidence(), SCENE, TOY, Mixture(2)).code.atoms_per_row == 2
     assert choose_code(evidence().num_seen, 40, 32).name == "mixture"
@@ -288,7 +287,7 @@ def test_a_field_takes_the_code_it_is_told() -> None:
     assert build_field(many_masks, SCENE, TOY, Smaller()).code.kind == "pq"
 
 
-def test_a_field_can_hold_it(tmp_path: Path) -> None:
+def test_a_field_can_hold_it(tmp_path):
     seen = np.flatnonzero(np.diff(evidence().weights.indptr) > 0)
     kept = evidence().rows(seen)
     mixed = encode_mixture(kept, scene_atoms=20)

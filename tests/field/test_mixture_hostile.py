@@ -1,7 +1,6 @@
 """Damaged and hostile mixture codes: sound objects or a precise error."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,7 +72,7 @@ def replaced(name: str, make: Callable[[np.ndarray], np.ndarray]) -> Callable[[A
         (replaced("atoms", lambda a: a[:, :0]), "one scale and one mask"),
     ],
 )
-def test_what_does_not_fit_is_refused(change: Callable[[Arrays], None], complaint: str) -> None:
+def test_what_does_not_fit_is_refused(change, complaint):
     arrays = tensors()
     use(arrays)
     change(arrays)
@@ -81,7 +80,7 @@ def test_what_does_not_fit_is_refused(change: Callable[[Arrays], None], complain
         use(arrays)
 
 
-def test_blocks_of_another_size_or_too_many_atoms_per_row_are_refused() -> None:
+def test_blocks_of_another_size_or_too_many_atoms_per_row_are_refused():
     for per_row, rows in ((0, 64), (17, 64), (3, 32)):
         arrays = tensors()
         for name in ("mixture_ids", "mixture_weights"):
@@ -90,7 +89,7 @@ def test_blocks_of_another_size_or_too_many_atoms_per_row_are_refused() -> None:
             use(arrays)
 
 
-def test_no_atoms_and_too_many_are_refused() -> None:
+def test_no_atoms_and_too_many_are_refused():
     for count in (0, 65_537):
         arrays = tensors()
         for name in ("atoms", "atom_scales", "atom_segments"):
@@ -99,14 +98,14 @@ def test_no_atoms_and_too_many_are_refused() -> None:
             use(arrays)
 
 
-def test_a_code_of_no_rows_is_one() -> None:
+def test_a_code_of_no_rows_is_one():
     arrays = tensors()
     for name in ("mixture_ids", "mixture_weights", "mixture_scales"):
         arrays[name] = arrays[name][:0]
     use(arrays)
 
 
-def test_extreme_but_legal_numbers_are_searched() -> None:
+def test_extreme_but_legal_numbers_are_searched():
     arrays = tensors()
     arrays["atoms"][:], arrays["atom_scales"][:] = -128, 1
     arrays["mixture_weights"][:], arrays["mixture_scales"][:] = 255, 65504
@@ -114,7 +113,7 @@ def test_extreme_but_legal_numbers_are_searched() -> None:
 
 
 @pytest.mark.slow
-def test_damaged_files(tmp_path: Path) -> None:
+def test_damaged_files(tmp_path):
     path = tmp_path / "a"
     write_tensors(path, tensors())
     good, survived = path.read_bytes(), 0

@@ -1,7 +1,6 @@
 """Registration: W by hand and by twin, shards, resuming, new encoders, and what it refuses."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -108,7 +107,7 @@ def test_merged_shards_are_one_pass(first):
     assert same(shards[0].merged(shards[1]), register(gaussians, views, features, sampling=Sampling(10)))
 
 
-def test_a_second_run_computes_nothing_and_a_damaged_part_again(tmp_path: Path, gaussians, registration):
+def test_a_second_run_computes_nothing_and_a_damaged_part_again(tmp_path, gaussians, registration):
     views, features = capture()
     first = register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path)
     parts = sorted(tmp_path.iterdir())
@@ -130,7 +129,7 @@ def test_a_second_run_computes_nothing_and_a_damaged_part_again(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("change", ["topk", "first_hits", "scene", "camera", "mask"])
-def test_parts_of_other_settings_are_not_used(change: str, tmp_path: Path, gaussians):
+def test_parts_of_other_settings_are_not_used(change, tmp_path, gaussians):
     views, features = capture(1)
     register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path)
     settings_ = Sampling(10)

@@ -16,7 +16,7 @@ def file(tmp_path: Path) -> AnnotationFile:
     return AnnotationFile.beside(tmp_path / "scene.ply")
 
 
-def test_what_is_written_is_read(file: AnnotationFile) -> None:
+def test_what_is_written_is_read(file):
     assert file.path.name == "scene.annotations.json"
     assert file.read() == ()
     axes = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
@@ -29,7 +29,7 @@ def test_what_is_written_is_read(file: AnnotationFile) -> None:
     np.testing.assert_array_equal(box.outline.extent, [1, 2, 3])
 
 
-def test_other_programs_read_points(file: AnnotationFile) -> None:
+def test_other_programs_read_points(file):
     file.add([Annotation.box("a box", np.array([1.0, 2, 3]), np.eye(3), np.ones(3))])
     document = json.loads(file.path.read_text())
     assert document["type"] == "FeatureCollection"
@@ -39,7 +39,7 @@ def test_other_programs_read_points(file: AnnotationFile) -> None:
     assert feature["properties"]["text"] == "a box"
 
 
-def test_one_that_is_dropped_is_gone(file: AnnotationFile) -> None:
+def test_one_that_is_dropped_is_gone(file):
     file.add([Annotation.at(text, (0, 0, 0)) for text in "abc"])
     assert [one.text for one in file.drop(2)] == ["a", "c"]
     with pytest.raises(InputError, match="no annotation 3 of 2"):
@@ -47,7 +47,7 @@ def test_one_that_is_dropped_is_gone(file: AnnotationFile) -> None:
     assert [one.text for one in file.read()] == ["a", "c"]
 
 
-def test_written_by_hand(file: AnnotationFile) -> None:
+def test_written_by_hand(file):
     feature = {"type": "Feature", "geometry": {"type": "Point", "coordinates": [1, 2, 3]}, "properties": {"text": "a"}}
     file.path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
     assert [one.text for one in file.read()] == ["a"]
@@ -78,14 +78,14 @@ def test_written_by_hand(file: AnnotationFile) -> None:
         ),
     ],
 )
-def test_what_is_none_is_refused_in_words(file: AnnotationFile, changes: dict, said: str) -> None:
+def test_what_is_none_is_refused_in_words(file, changes, said):
     file.path.write_text(json.dumps({"type": "FeatureCollection", "features": []} | changes))
     with pytest.raises(FormatError, match=r"scene\.annotations\.json") as error:
         file.read()
     assert said in str(error.value)
 
 
-def test_a_box_is_a_box() -> None:
+def test_a_box_is_a_box():
     with pytest.raises(InputError, match="right angles"):
         Annotation.box("a", np.zeros(3), np.ones((3, 3)), np.ones(3))
     with pytest.raises(InputError, match="lengths above 0"):

@@ -3,7 +3,6 @@
 import hashlib
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -196,7 +195,7 @@ def test_edits_keep_it_and_tell_of_what_was_trained_otherwise(recwarn):
 
 
 @pytest.mark.parametrize("antialiased", [True, False])
-def test_inspect_says_it(tmp_path: Path, capsys, antialiased):
+def test_inspect_says_it(tmp_path, capsys, antialiased):
     path = tmp_path / "scene.ply"
     write_gaussians(path, replace(random_gaussians(40), antialiased=antialiased))
     assert answer_of(capsys, "inspect", path)["antialiased"] is antialiased

@@ -43,7 +43,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("maps", [blocks(), blocks(1)[:, :7, :5].copy(), blocks(2, 1)[0]])
-def test_both_forms_hold_the_same_and_turn_into_each_other(maps: np.ndarray, tmp_path: Path) -> None:
+def test_both_forms_hold_the_same_and_turn_into_each_other(maps, tmp_path):
     rows = unit_rows(np.random.default_rng(1), 9, 16)
     write_features(tmp_path / "theirs", "cam0/a", maps, rows)
     theirs = read_features(tmp_path / "theirs")
@@ -60,7 +60,7 @@ def test_both_forms_hold_the_same_and_turn_into_each_other(maps: np.ndarray, tmp
     assert files_of(tmp_path / "back") == files_of(tmp_path / "theirs")
 
 
-def test_alike_levels_are_kept_once_and_it_is_small(tmp_path: Path) -> None:
+def test_alike_levels_are_kept_once_and_it_is_small(tmp_path):
     rows = unit_rows(np.random.default_rng(1), 9, 16)
     write_features(tmp_path, "four", blocks(), rows, form="compact")
     write_features(tmp_path, "one", np.stack([blocks()[3]] * 4), rows, form="compact")
@@ -71,7 +71,7 @@ def test_alike_levels_are_kept_once_and_it_is_small(tmp_path: Path) -> None:
     assert_array_equal(FeatureFolder(tmp_path, 0).stored("many")[0], blocks(0, 4, 70_000))
 
 
-def test_a_photo_in_two_forms_and_unknown_forms_are_refused(tmp_path: Path) -> None:
+def test_a_photo_in_two_forms_and_unknown_forms_are_refused(tmp_path):
     rows = unit_rows(np.random.default_rng(1), 9, 16)
     write_features(tmp_path, "a", blocks(), rows)
     theirs = files_of(tmp_path)
@@ -94,7 +94,7 @@ def embedded(views: list[ds.View], folder: Path, **options: object) -> Embedding
     return embed(views, folder, ColorSegmenter(), ThumbnailEncoder(), **options)
 
 
-def test_embed_writes_it_by_default_and_turns_what_is_finished(tmp_path: Path) -> None:
+def test_embed_writes_it_by_default_and_turns_what_is_finished(tmp_path):
     views = [a_view(tmp_path, name) for name in ("a.png", "cam0/b.png")]
     assert embedded(views, tmp_path / "theirs", form="langsplat").reused == 0
     assert embedded(views, tmp_path / "out").reused == 0
@@ -107,7 +107,7 @@ def test_embed_writes_it_by_default_and_turns_what_is_finished(tmp_path: Path) -
     assert files_of(tmp_path / "out") == ours
 
 
-def test_damaged_files_are_embedded_again(tmp_path: Path) -> None:
+def test_damaged_files_are_embedded_again(tmp_path):
     views = [a_view(tmp_path, name) for name in ("a.png", "b.png")]
     embedded(views, tmp_path / "out")
     before = files_of(tmp_path / "out")
@@ -118,7 +118,7 @@ def test_damaged_files_are_embedded_again(tmp_path: Path) -> None:
     assert files_of(tmp_path / "out") == before
 
 
-def test_an_edited_record_is_refused(tmp_path: Path) -> None:
+def test_an_edited_record_is_refused(tmp_path):
     views = [a_view(tmp_path, "a.png")]
     embedded(views, tmp_path / "out")
     record = tmp_path / "out/embedding.json"
@@ -133,7 +133,7 @@ def test_an_edited_record_is_refused(tmp_path: Path) -> None:
     assert embedded(views, tmp_path / "out").reused == 1
 
 
-def test_inspect_tells_features_of_either_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_tells_features_of_either_form(tmp_path, capsys):
     views = [a_view(tmp_path, "a.png")]
     told = []
     for form in ("compact", "langsplat"):
@@ -186,13 +186,13 @@ def squeezed(data: bytes) -> np.ndarray:
         {"embeddings": np.zeros((9, 4), np.float32)},
     ],
 )
-def test_hostile_files_are_refused(changes: dict[str, object], tmp_path: Path, bounded_memory: None) -> None:
+def test_hostile_files_are_refused(changes, tmp_path, bounded_memory):
     hostile(tmp_path / f"a{COMPACT}", **changes)
     with pytest.raises(FormatError):
         FeatureFolder(tmp_path, LEVELS.index("large"))["a"]
 
 
-def test_mutants_are_read_or_refused(tmp_path: Path, bounded_memory: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mutants_are_read_or_refused(tmp_path, bounded_memory, monkeypatch):
     """With checksums out of the way, which would refuse nearly all."""
     path = hostile(tmp_path / f"a{COMPACT}")
     without_checksums(path)

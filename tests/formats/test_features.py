@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.formats.langsplat import LEVELS, FeatureFolder, read_features, write_features
@@ -44,16 +45,16 @@ def test_each_level_by_name_and_number(folder, level):
     for name in (level, LEVELS[level]):
         features = read_features(folder, name)["a"]
         used = np.unique(MAPS[level][MAPS[level] >= 0])
-        np.testing.assert_array_equal(features.file_rows, used)
-        np.testing.assert_allclose(features.embeddings, ROWS[used], atol=1e-7)
+        assert_array_equal(features.file_rows, used)
+        assert_allclose(features.embeddings, ROWS[used], atol=1e-7)
         background = features.mask_ids < 0
-        np.testing.assert_array_equal(background, MAPS[level] < 0)
+        assert_array_equal(background, MAPS[level] < 0)
         original = features.file_rows[features.mask_ids[~background]]
-        np.testing.assert_array_equal(original, MAPS[level][~background])
+        assert_array_equal(original, MAPS[level][~background])
 
 
 def test_large_is_the_default(folder):
-    np.testing.assert_array_equal(read_features(folder)["a"].file_rows, [9, 10])
+    assert_array_equal(read_features(folder)["a"].file_rows, [9, 10])
 
 
 @pytest.mark.parametrize("level", ["Large", "xl", -1, 4])
@@ -67,27 +68,27 @@ def test_other_levels_do_not_exist(folder, level):
 def test_types_of_files(tmp_path, dtype, precision):
     features = raw(tmp_path, MAPS.astype(dtype), ROWS.astype(precision))["a"]
     assert (features.mask_ids.dtype, features.embeddings.dtype) == (np.int32, np.float32)
-    np.testing.assert_array_equal(features.mask_ids, [[0, 0, 1], [0, -1, 1]])
-    np.testing.assert_allclose(features.embeddings, ROWS[9:], atol=1e-3)
-    np.testing.assert_allclose(np.linalg.norm(features.embeddings, axis=1), 1, atol=1e-6)
+    assert_array_equal(features.mask_ids, [[0, 0, 1], [0, -1, 1]])
+    assert_allclose(features.embeddings, ROWS[9:], atol=1e-3)
+    assert_allclose(np.linalg.norm(features.embeddings, axis=1), 1, atol=1e-6)
 
 
 def test_byte_order_and_memory_order(tmp_path):
     maps, rows = np.asfortranarray(MAPS.astype(">i4")), np.asfortranarray(ROWS.astype(">f4"))
     features = raw(tmp_path, maps, rows)["a"]
-    np.testing.assert_array_equal(features.mask_ids, [[0, 0, 1], [0, -1, 1]])
-    np.testing.assert_allclose(features.embeddings, ROWS[9:], atol=1e-7)
+    assert_array_equal(features.mask_ids, [[0, 0, 1], [0, -1, 1]])
+    assert_allclose(features.embeddings, ROWS[9:], atol=1e-7)
 
 
 def test_one_map_without_levels_serves_any_level(tmp_path):
     write_features(tmp_path, "a", MAPS[1], ROWS)
     for level in LEVELS:
-        np.testing.assert_array_equal(read_features(tmp_path, level)["a"].file_rows, [3, 4, 5])
+        assert_array_equal(read_features(tmp_path, level)["a"].file_rows, [3, 4, 5])
 
 
 def test_rows_are_brought_to_unit_length(tmp_path):
     features = raw(tmp_path, rows=ROWS * RNG.uniform(0.1, 9, (11, 1)).astype(np.float32))["a"]
-    np.testing.assert_allclose(features.embeddings, ROWS[9:], atol=1e-6)
+    assert_allclose(features.embeddings, ROWS[9:], atol=1e-6)
 
 
 def test_a_photo_without_masks(tmp_path):
@@ -103,8 +104,8 @@ def test_round_trip(tmp_path_factory, maps, level):
     write_features(folder, "a", maps, ROWS)
     features = read_features(folder, level)["a"]
     restored = np.append(features.file_rows, -1)[features.mask_ids]
-    np.testing.assert_array_equal(restored, maps[level])
-    np.testing.assert_allclose(features.embeddings, ROWS[features.file_rows], atol=1e-7)
+    assert_array_equal(restored, maps[level])
+    assert_allclose(features.embeddings, ROWS[features.file_rows], atol=1e-7)
     assert set(np.unique(features.mask_ids)) - {-1} == set(range(len(features.embeddings)))
 
 
@@ -208,14 +209,14 @@ def test_writing_again_needs_permission(folder):
     with pytest.raises(InputError, match="exists"):
         write_features(folder, "a", MAPS, ROWS)
     write_features(folder, "a", MAPS[0], ROWS, overwrite=True)
-    np.testing.assert_array_equal(read_features(folder)["a"].file_rows, [0, 2])
+    assert_array_equal(read_features(folder)["a"].file_rows, [0, 2])
 
 
 def test_files_are_what_langsplat_writes(folder):
     maps, rows = np.load(folder / "a_s.npy"), np.load(folder / "a_f.npy")
     assert (maps.dtype, rows.dtype) == (np.int32, np.float32)
-    np.testing.assert_array_equal(maps, MAPS)
-    np.testing.assert_array_equal(rows, ROWS)
+    assert_array_equal(maps, MAPS)
+    assert_array_equal(rows, ROWS)
 
 
 @pytest.mark.parametrize("array", [np.arange(5), np.zeros((0, 3), np.float16), np.eye(3, order="F")])
@@ -223,8 +224,8 @@ def test_npy_is_numpys(tmp_path, array):
     write_npy(tmp_path / "a.npy", array)
     mapped = map_npy(tmp_path / "a.npy")
     assert mapped.dtype == array.dtype
-    np.testing.assert_array_equal(mapped, np.load(tmp_path / "a.npy"))
-    np.testing.assert_array_equal(mapped, array)
+    assert_array_equal(mapped, np.load(tmp_path / "a.npy"))
+    assert_array_equal(mapped, array)
 
 
 # Vocabularies
@@ -241,7 +242,7 @@ def vocabulary(tmp_path) -> VocabularyEncoder:
 def test_words_are_unit_vectors_in_the_order_asked(vocabulary):
     got = vocabulary.encode_texts(["red cup", "sofa", "red cup"])
     assert got.dtype == np.float32
-    np.testing.assert_allclose(got, [[0, 1, 0], [0.6, 0, 0.8], [0, 1, 0]], atol=1e-7)
+    assert_allclose(got, [[0, 1, 0], [0.6, 0, 0.8], [0, 1, 0]], atol=1e-7)
     assert vocabulary.encode_texts([]).shape == (0, 3)
 
 
@@ -268,7 +269,7 @@ def test_vocabulary_round_trip(vocabulary, tmp_path):
     write_vocabulary(tmp_path / "words.safetensors", encoder)
     again = read_vocabulary(tmp_path / "words.safetensors")
     assert (again.identity, again.texts) == (identity, vocabulary.texts)
-    np.testing.assert_allclose(again.embeddings, vocabulary.embeddings, atol=1e-7)
+    assert_allclose(again.embeddings, vocabulary.embeddings, atol=1e-7)
     with pytest.raises(InputError, match="exists"):
         write_vocabulary(tmp_path / "words.safetensors", encoder)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import cKDTree
 
 import scene_files
@@ -56,7 +57,7 @@ def same(a: Gaussians, b: Gaussians) -> None:
 
 @quick
 @given(seeds, degrees, st.sampled_from("<>a"), st.booleans())
-def test_ply_of_any_order_type_and_encoding(seed: int, degree: int, order: str, doubles: bool) -> None:
+def test_ply_of_any_order_type_and_encoding(seed, degree, order, doubles):
     rng = np.random.default_rng(seed)
     g = random_gaussians(rng, int(rng.integers(0, 40)), degree)
     columns = scene_files.ply_columns(g)
@@ -72,12 +73,12 @@ def test_ply_of_any_order_type_and_encoding(seed: int, degree: int, order: str, 
     assert set(back.extra) == {"relevancy", "object_id"}
     assert back.extra["object_id"].dtype == np.int32
     for name, column in back.extra.items():
-        np.testing.assert_array_equal(column, columns[name])
+        assert_array_equal(column, columns[name])
 
 
 @quick
 @given(seeds, degrees)
-def test_written_scene_reads_back(tmp_path_factory: pytest.TempPathFactory, seed: int, degree: int) -> None:
+def test_written_scene_reads_back(tmp_path_factory, seed, degree):
     rng = np.random.default_rng(seed)
     g = random_gaussians(rng, int(rng.integers(0, 5000)), degree)
     g.opacities[: len(g) // 3] = rng.choice(np.array([0, 1, 1e-30, 1 - 2**-24], np.float32), len(g) // 3)
@@ -87,19 +88,19 @@ def test_written_scene_reads_back(tmp_path_factory: pytest.TempPathFactory, seed
     back = read_gaussians(path)
     same(back, g)
     assert back.fingerprint == g.fingerprint
-    np.testing.assert_array_equal(back.opacities == 1, g.opacities == 1)
-    np.testing.assert_array_equal(back.opacities == 0, g.opacities == 0)
-    np.testing.assert_array_equal(back.extra["a"], ids)
-    np.testing.assert_array_equal(back.extra["b"], -ids)
+    assert_array_equal(back.opacities == 1, g.opacities == 1)
+    assert_array_equal(back.opacities == 0, g.opacities == 0)
+    assert_array_equal(back.extra["a"], ids)
+    assert_array_equal(back.extra["b"], -ids)
 
 
-def test_infinite_logits_of_supersplat_are_opacity_one_and_zero() -> None:
+def test_infinite_logits_of_supersplat_are_opacity_one_and_zero():
     columns = scene_files.ply_columns(random_gaussians(np.random.default_rng(0), 3))
     columns["opacity"] = np.array([np.inf, -np.inf, 0], np.float32)
     assert parsed(scene_files.ply_bytes(columns)).opacities.tolist() == [1, 0, 0.5]
 
 
-def test_normals_are_kept_unless_all_zero() -> None:
+def test_normals_are_kept_unless_all_zero():
     columns = scene_files.ply_columns(random_gaussians(np.random.default_rng(0), 3))
     columns |= {name: np.zeros(3, np.float32) for name in ("nx", "ny", "nz")}
     assert not parsed(scene_files.ply_bytes(columns)).extra
@@ -108,7 +109,7 @@ def test_normals_are_kept_unless_all_zero() -> None:
 
 
 @pytest.mark.parametrize("order", ["<", ">", "a"])
-def test_elements_in_front_are_stepped_over(order: str) -> None:
+def test_elements_in_front_are_stepped_over(order):
     g = random_gaussians(np.random.default_rng(1), 5)
     header = "element face 2\nproperty uchar tag\nproperty list uchar int vertex_indices\n"
     header += "element camera 2\nproperty double f"
@@ -119,13 +120,13 @@ def test_elements_in_front_are_stepped_over(order: str) -> None:
     same(parsed(data), g)
 
 
-def test_bytes_after_the_last_row_are_reported() -> None:
+def test_bytes_after_the_last_row_are_reported():
     data = scene_files.ply_bytes(scene_files.ply_columns(random_gaussians(np.random.default_rng(2))))
     with pytest.warns(DrSplatWarning, match="3 bytes after"):
         parsed(data + b"abc")
 
 
-def test_crlf_header() -> None:
+def test_crlf_header():
     g = random_gaussians(np.random.default_rng(3), 4)
     head, body = scene_files.ply_bytes(scene_files.ply_columns(g)).split(b"end_header\n")
     same(parsed((head + b"end_header\n").replace(b"\n", b"\r\n") + body), g)
@@ -140,7 +141,7 @@ def test_crlf_header() -> None:
         ("opacity", np.nan),
     ],
 )
-def test_rows_that_are_no_gaussians_are_counted_and_named(name: str, value: float) -> None:
+def test_rows_that_are_no_gaussians_are_counted_and_named(name, value):
     columns = scene_files.ply_columns(random_gaussians(np.random.default_rng(4), 30))
     columns[name] = columns[name].copy()
     columns[name][[17, 21, 29]] = value
@@ -149,14 +150,14 @@ def test_rows_that_are_no_gaussians_are_counted_and_named(name: str, value: floa
 
 
 @pytest.mark.parametrize("log_scale", [89, -120])
-def test_log_scale_out_of_range(log_scale: float) -> None:
+def test_log_scale_out_of_range(log_scale):
     columns = scene_files.ply_columns(random_gaussians(np.random.default_rng(5), 4))
     columns["scale_0"] = np.full(4, log_scale, np.float32)
     with pytest.raises(FormatError, match="4 of 4 rows have scales"):
         parsed(scene_files.ply_bytes(columns))
 
 
-def test_quaternions_of_any_length_but_zero() -> None:
+def test_quaternions_of_any_length_but_zero():
     g = random_gaussians(np.random.default_rng(6), 3)
     columns = scene_files.ply_columns(g)
     for i in range(4):
@@ -167,7 +168,7 @@ def test_quaternions_of_any_length_but_zero() -> None:
     assert angles(parsed(scene_files.ply_bytes(columns)), g)[:2].max() < 1e-6
 
 
-def test_ply_that_is_no_scene() -> None:
+def test_ply_that_is_no_scene():
     points = {name: np.zeros(3, np.float32) for name in "xyz"}
     with pytest.raises(FormatError, match=r"vertex has x, y, z, and no f_dc_0.*no 3DGS PLY"):
         parsed(scene_files.ply_bytes(points))
@@ -180,7 +181,7 @@ def test_ply_that_is_no_scene() -> None:
 # write_gaussians and read_gaussians as functions of paths
 
 
-def test_writing_refuses_what_it_must(tmp_path: Path) -> None:
+def test_writing_refuses_what_it_must(tmp_path):
     g = random_gaussians(np.random.default_rng(8), 3)
     path = tmp_path / "scene.ply"
     write_gaussians(path, g)
@@ -207,7 +208,7 @@ def test_writing_refuses_what_it_must(tmp_path: Path) -> None:
     assert len(read_gaussians(path)) == 1
 
 
-def test_model_folder_gives_its_highest_iteration(tmp_path: Path) -> None:
+def test_model_folder_gives_its_highest_iteration(tmp_path):
     for iteration, n in ((7000, 2), (30000, 3), (9999, 4)):
         folder = tmp_path / "point_cloud" / f"iteration_{iteration}"
         folder.mkdir(parents=True)
@@ -219,7 +220,7 @@ def test_model_folder_gives_its_highest_iteration(tmp_path: Path) -> None:
         read_gaussians(tmp_path / "missing.ply")
 
 
-def test_format_is_told_by_content_not_by_name(tmp_path: Path) -> None:
+def test_format_is_told_by_content_not_by_name(tmp_path):
     g = random_gaussians(np.random.default_rng(10), 5, 0)
     for name, data in {
         "a.splat": scene_files.ply_bytes(scene_files.ply_columns(g)),
@@ -244,7 +245,7 @@ def test_format_is_told_by_content_not_by_name(tmp_path: Path) -> None:
 
 @quick
 @given(seeds, degrees, st.integers(1, 600))
-def test_compressed_ply(seed: int, degree: int, n: int) -> None:
+def test_compressed_ply(seed, degree, n):
     g = random_gaussians(np.random.default_rng(seed), n, degree)
     back = parsed(scene_files.compressed_ply_bytes(g))
     dc_step = np.ptp(g.sh[:, 0]) / 255 * 0.51
@@ -252,7 +253,7 @@ def test_compressed_ply(seed: int, degree: int, n: int) -> None:
                  sh=max(dc_step, 8 / 256 * 0.51), quats=6e-3)  # fmt: skip
 
 
-def test_compressed_ply_of_the_first_kind_has_no_colour_bounds() -> None:
+def test_compressed_ply_of_the_first_kind_has_no_colour_bounds():
     g = random_gaussians(np.random.default_rng(11), 10, 0)
     g.sh[:] = np.clip(g.sh, -1, 1)
     data = scene_files.compressed_ply_bytes(g)
@@ -261,12 +262,12 @@ def test_compressed_ply_of_the_first_kind_has_no_colour_bounds() -> None:
     lines = [line for line in head.split(b"\n") if line[-2:] not in (b"_r", b"_g", b"_b")]
     old = b"\n".join([*lines[:-1], b"end_header\n"]) + body[:48] + body[72:]
     fraction = ((g.sh[:, 0] * scene_files.C0 + 0.5) - low) / (high - low)
-    np.testing.assert_allclose(parsed(old).sh[:, 0] * scene_files.C0 + 0.5, fraction, atol=0.003)
+    assert_allclose(parsed(old).sh[:, 0] * scene_files.C0 + 0.5, fraction, atol=0.003)
 
 
 @quick
 @given(seeds)
-def test_splat(seed: int) -> None:
+def test_splat(seed):
     g = random_gaussians(np.random.default_rng(seed), 30, 0)
     back = parsed(scene_files.splat_bytes(g), ".splat")
     assert_close(back, g, means=0, scales=0, opacities=0.0021, sh=0.0021 / scene_files.C0, quats=0.025)
@@ -274,7 +275,7 @@ def test_splat(seed: int) -> None:
 
 @quick
 @given(seeds, degrees, st.sampled_from([2, 3, 4]))
-def test_spz_comes_back_in_the_axes_of_a_ply(seed: int, degree: int, version: int) -> None:
+def test_spz_comes_back_in_the_axes_of_a_ply(seed, degree, version):
     g = random_gaussians(np.random.default_rng(seed), 30, degree)
     if version == 2:  # w is recovered from the rest, so coarsely where it is small
         g.quats[:, 0] = np.sign(g.quats[:, 0]) + g.quats[:, 0]
@@ -288,7 +289,7 @@ def test_spz_comes_back_in_the_axes_of_a_ply(seed: int, degree: int, version: in
 @pytest.mark.parametrize(
     ("system", "signs"), [(6, (1, 1, 1)), (4, (1, -1, -1)), (7, (-1, -1, 1)), (1, (-1, 1, -1)), (8, (1, -1, 1))]
 )
-def test_spz_that_names_its_axes_is_believed(version: int, system: int, signs: tuple[int, int, int]) -> None:
+def test_spz_that_names_its_axes_is_believed(version, system, signs):
     g = random_gaussians(np.random.default_rng(12), 8)
     unknown = struct.pack("<II3s", 0x12340001, 3, b"abc")
     axes = unknown + struct.pack("<III", 0xADBE0003, 4, system)
@@ -296,7 +297,7 @@ def test_spz_that_names_its_axes_is_believed(version: int, system: int, signs: t
     assert_close(back, g, means=1.3e-4, scales=0.032, opacities=0.0021, sh=0.0135, quats=6e-3)
 
 
-def test_turning_the_axes_leaves_a_scene_looking_the_same() -> None:
+def test_turning_the_axes_leaves_a_scene_looking_the_same():
     """The flip of SPZ's axes, checked on covariances and on colours seen along turned rays."""
     g = random_gaussians(np.random.default_rng(13), 12)
     signs = np.array([1, -1, -1])
@@ -311,7 +312,7 @@ def test_turning_the_axes_leaves_a_scene_looking_the_same() -> None:
     assert (error < np.abs(basis).sum(1) * 0.0135).all()
 
 
-def test_spz_of_degree_four_says_what_it_leaves_out() -> None:
+def test_spz_of_degree_four_says_what_it_leaves_out():
     g = random_gaussians(np.random.default_rng(15), 5)
     planes = scene_files.spz_planes(g, 4)
     rest = np.frombuffer(planes[5], np.uint8).reshape(5, 45)
@@ -336,7 +337,7 @@ def test_spz_of_degree_four_says_what_it_leaves_out() -> None:
         ({"tail": b"more"}, "4 bytes more"),
     ],
 )
-def test_spz_headers_that_do_not_fit(edit: dict, message: str) -> None:
+def test_spz_headers_that_do_not_fit(edit, message):
     fields = {"version": 3, "count": 8, "degree": 3, "fraction": 12, "flags": 0, "tail": b""} | edit
     tail = fields.pop("tail")
     planes = b"".join(scene_files.spz_planes(random_gaussians(np.random.default_rng(16), 8), 3))
@@ -360,25 +361,23 @@ def biker() -> tuple[Gaussians, Gaussians]:
 @pytest.mark.data
 @no_splats
 @pytest.mark.parametrize("version", [1, 2])
-def test_a_sog_of_a_real_capture_is_that_of_its_compressed_ply(
-    biker: tuple[Gaussians, Gaussians], version: int
-) -> None:
+def test_a_sog_of_a_real_capture_is_that_of_its_compressed_ply(biker, version):
     """As coarse as its 256 steps: the bulk of a real capture, colours included."""
     packed = biker[0].subset(np.arange(0, len(biker[0]), 7))
     solid = packed.subset((packed.opacities > 0.02) & (packed.opacities < 0.98))
     sog = parse_gaussians(memoryview(zip_bytes(sog_files(solid, version))))
     assert len(sog) > 1000
     extent = 2 * np.log1p(np.abs(solid.means)).max()
-    np.testing.assert_allclose(sog.means, solid.means, atol=extent / 65535 * (1 + np.abs(solid.means).max()))
-    np.testing.assert_allclose(np.abs(np.einsum("ni,ni->n", sog.quats, solid.quats)), 1, atol=1e-4)
+    assert_allclose(sog.means, solid.means, atol=extent / 65535 * (1 + np.abs(solid.means).max()))
+    assert_allclose(np.abs(np.einsum("ni,ni->n", sog.quats, solid.quats)), 1, atol=1e-4)
     for values, truth in ((np.log(sog.scales), np.log(solid.scales)), (sog.sh[:, 0], solid.sh[:, 0])):
-        np.testing.assert_allclose(values, truth, atol=0.51 * np.ptp(truth) / 255)
-    np.testing.assert_allclose(sog.opacities, solid.opacities, atol=0.02 if version == 1 else 0.003)
+        assert_allclose(values, truth, atol=0.51 * np.ptp(truth) / 255)
+    assert_allclose(sog.opacities, solid.opacities, atol=0.02 if version == 1 else 0.003)
 
 
 @pytest.mark.data
 @no_splats
-def test_biker_is_the_same_as_compressed_ply_and_as_spz(biker: tuple[Gaussians, Gaussians]) -> None:
+def test_biker_is_the_same_as_compressed_ply_and_as_spz(biker):
     a, b = biker
     assert np.abs(a.means - b.means).max() < 2**-12
     matched = np.abs(a.opacities - b.opacities) < 1e-6  # nearest is another row for coincident points
@@ -390,7 +389,7 @@ def test_biker_is_the_same_as_compressed_ply_and_as_spz(biker: tuple[Gaussians, 
 
 @pytest.mark.data
 @no_splats
-def test_guitar_is_plausible_and_survives_a_round_trip(tmp_path: Path) -> None:
+def test_guitar_is_plausible_and_survives_a_round_trip(tmp_path):
     guitar = read_gaussians(SPLATS / "guitar.compressed.ply")
     assert len(guitar) == 90_854
     write_gaussians(tmp_path / "guitar.ply", guitar)
@@ -400,26 +399,26 @@ def test_guitar_is_plausible_and_survives_a_round_trip(tmp_path: Path) -> None:
 
 
 @pytest.mark.oracle
-def test_gsply_reads_what_we_write(tmp_path: Path) -> None:
+def test_gsply_reads_what_we_write(tmp_path):
     gsply = pytest.importorskip("gsply", reason="gsply is not installed (dev extra)")
     for degree in range(4):
         g = random_gaussians(np.random.default_rng(degree), 50, degree)
         write_gaussians(tmp_path / f"{degree}.ply", g)
         theirs = gsply.plyread(str(tmp_path / f"{degree}.ply"))
-        np.testing.assert_array_equal(theirs.means, g.means)
-        np.testing.assert_allclose(theirs.scales, np.log(g.scales), atol=1e-6)
-        np.testing.assert_allclose(1 / (1 + np.exp(-theirs.opacities.ravel())), g.opacities, atol=1e-6)
-        np.testing.assert_allclose(theirs.quats, g.quats, atol=1e-6)
-        np.testing.assert_array_equal(theirs.sh0.reshape(-1, 3), g.sh[:, 0])
+        assert_array_equal(theirs.means, g.means)
+        assert_allclose(theirs.scales, np.log(g.scales), atol=1e-6)
+        assert_allclose(1 / (1 + np.exp(-theirs.opacities.ravel())), g.opacities, atol=1e-6)
+        assert_allclose(theirs.quats, g.quats, atol=1e-6)
+        assert_array_equal(theirs.sh0.reshape(-1, 3), g.sh[:, 0])
         if degree:
-            np.testing.assert_array_equal(np.asarray(theirs.shN).reshape(50, -1, 3), g.sh[:, 1:])
+            assert_array_equal(np.asarray(theirs.shN).reshape(50, -1, 3), g.sh[:, 1:])
 
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ["biker.spz", "biker.compressed.ply", "guitar.compressed.ply"])
 @pytest.mark.data
 @no_splats
-def test_gsply_agrees_on_real_files(name: str) -> None:
+def test_gsply_agrees_on_real_files(name):
     gsply = pytest.importorskip("gsply", reason="gsply is not installed (dev extra)")
     ours = read_gaussians(SPLATS / name)
     with warnings.catch_warnings():
@@ -440,7 +439,7 @@ def test_gsply_agrees_on_real_files(name: str) -> None:
 
 
 @pytest.mark.oracle
-def test_spz_written_by_gsply(tmp_path: Path) -> None:
+def test_spz_written_by_gsply(tmp_path):
     gsply = pytest.importorskip("gsply", reason="gsply is not installed (dev extra)")
     g = random_gaussians(np.random.default_rng(20), 60, 2)
     write_gaussians(tmp_path / "g.ply", turned(g))  # gsply stores the numbers it is given as if RUB
@@ -466,24 +465,24 @@ def read_as_sibr(data: bytes) -> tuple[int, np.ndarray]:
 
 
 @pytest.mark.parametrize(("degree", "filled"), [(3, None), (1, 3), (0, 3)])
-def test_what_is_written_is_what_the_viewer_of_3dgs_reads(tmp_path, degree, filled) -> None:
+def test_what_is_written_is_what_the_viewer_of_3dgs_reads(tmp_path, degree, filled):
     g = random_gaussians(np.random.default_rng(0), 50, degree)
     write_gaussians(tmp_path / "scene.ply", g, sh_degree=filled)
     count, rows = read_as_sibr((tmp_path / "scene.ply").read_bytes())
     assert count == 50
-    np.testing.assert_array_equal(rows[:, :3], g.means)
+    assert_array_equal(rows[:, :3], g.means)
     assert not rows[:, 3:6].any()
-    np.testing.assert_array_equal(rows[:, 6:9], g.sh[:, 0])
+    assert_array_equal(rows[:, 6:9], g.sh[:, 0])
     rest = rows[:, 9:54].reshape(50, 3, 15).transpose(0, 2, 1)
-    np.testing.assert_array_equal(rest[:, : g.sh.shape[1] - 1], g.sh[:, 1:])
+    assert_array_equal(rest[:, : g.sh.shape[1] - 1], g.sh[:, 1:])
     assert not rest[:, g.sh.shape[1] - 1 :].any()
-    np.testing.assert_allclose(1 / (1 + np.exp(-rows[:, 54])), g.opacities, atol=1e-6)
-    np.testing.assert_allclose(np.exp(rows[:, 55:58]), g.scales, rtol=1e-5)
-    np.testing.assert_array_equal(rows[:, 58:], g.quats)
+    assert_allclose(1 / (1 + np.exp(-rows[:, 54])), g.opacities, atol=1e-6)
+    assert_allclose(np.exp(rows[:, 55:58]), g.scales, rtol=1e-5)
+    assert_array_equal(rows[:, 58:], g.quats)
     assert read_gaussians(tmp_path / "scene.ply").extra == {}
 
 
-def test_harmonics_are_not_cut(tmp_path) -> None:
+def test_harmonics_are_not_cut(tmp_path):
     g = random_gaussians(np.random.default_rng(0), 5, 2)
     for degree in (1, 4):
         with pytest.raises(InputError, match="sh_degree: expected 2"):

@@ -120,7 +120,7 @@ def test_mutants(family: str) -> None:
     assert min(read, refused) > 250
 
 
-def test_planes_of_spz_4_under_sound_streams(bounded_memory: None) -> None:
+def test_planes_of_spz_4_under_sound_streams(bounded_memory):
     """Damage below the compression: any bytes are some scene, or rows that are refused."""
     rng = np.random.default_rng(3)
     g = random_gaussians(rng, 16, 1)
@@ -185,7 +185,7 @@ def list_ply(length: int) -> bytes:
         pytest.param(b"ply\nformat ascii 1.0\n" + b"comment a\n" * 400_000, id="ply-endless-header"),
     ],
 )
-def test_bombs_are_refused_before_they_unfold(data: bytes) -> None:
+def test_bombs_are_refused_before_they_unfold(data):
     gc.collect()
     tracemalloc.start()
     try:
@@ -196,14 +196,14 @@ def test_bombs_are_refused_before_they_unfold(data: bytes) -> None:
         tracemalloc.stop()
 
 
-def test_error_names_the_file_and_leaves_it_closed(tmp_path: Path) -> None:
+def test_error_names_the_file_and_leaves_it_closed(tmp_path):
     path = tmp_path / "scene.ply"
     path.write_bytes(claiming_ply(5))
     with pytest.raises(FormatError, match=r"scene\.ply: PLY is truncated.*5 rows of 'vertex'"):
         read_gaussians(path)
 
 
-def test_mutants_are_reproducible_and_differ() -> None:
+def test_mutants_are_reproducible_and_differ():
     data = seeds("ply")[0][0]
     first, second = (list(mutants(data, np.random.default_rng(5), 300)) for _ in range(2))
     assert first == second
@@ -212,7 +212,7 @@ def test_mutants_are_reproducible_and_differ() -> None:
 
 
 @pytest.mark.slow
-def test_errors_within_a_table_leave_nothing_that_cannot_be_collected() -> None:
+def test_errors_within_a_table_leave_nothing_that_cannot_be_collected():
     """An SPZ 4 refused at its second stream, many times, with the errors kept in cycles."""
     scene = random_gaussians(np.random.default_rng(0), 20, 1)
     damaged = bytearray(scene_files.spz_bytes(scene, 4))
@@ -229,7 +229,7 @@ def test_errors_within_a_table_leave_nothing_that_cannot_be_collected() -> None:
 
 
 @pytest.mark.slow
-def test_damaged_tables_of_names(tmp_path: Path, bounded_memory: None) -> None:
+def test_damaged_tables_of_names(tmp_path, bounded_memory):
     data, rng, path = labelled_glb(random_gaussians(np.random.default_rng(0), 20, 0)), seeded(7), tmp_path / "a.glb"
     read = refused = 0
     for mutant in mutants(data, rng, quota(1500)):

@@ -3,7 +3,6 @@
 import io
 import json
 import shutil
-from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from catalogued import write_scene
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import answer_of, error_of, text_of
 from drsplat.cli import main
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import build_field
@@ -91,7 +90,7 @@ def positions(size: int, rng: np.random.Generator) -> list[int]:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*no thumbnails")
 @pytest.mark.parametrize("write", WRITERS)
-def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(write: Callable[[Path], Path], tmp_path: Path) -> None:
+def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(write, tmp_path):
     path, rng = write(tmp_path), np.random.default_rng(7)
     files = sorted(file for file in path.rglob("*") if file.is_file())
     code, said = verdict(path)
@@ -112,7 +111,7 @@ def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(write: Callable[[
 # --- films ---
 
 
-def test_a_film_with_a_flipped_bit_never_shows_other_frames(tmp_path: Path) -> None:
+def test_a_film_with_a_flipped_bit_never_shows_other_frames(tmp_path):
     path, rng = write_motion(tmp_path), np.random.default_rng(3)
 
     def frames() -> list[bytes]:
@@ -133,7 +132,7 @@ def test_a_film_with_a_flipped_bit_never_shows_other_frames(tmp_path: Path) -> N
     assert frames() == expected
 
 
-def test_a_damaged_frame_is_refused_and_the_others_are_shown(tmp_path: Path) -> None:
+def test_a_damaged_frame_is_refused_and_the_others_are_shown(tmp_path):
     path = write_motion(tmp_path)
     means = map_tensors(path / MOTION)[0]["means"]
     content = bytearray((path / MOTION).read_bytes())
@@ -145,7 +144,7 @@ def test_a_damaged_frame_is_refused_and_the_others_are_shown(tmp_path: Path) -> 
         moving.at(float(moving.times[2]))
 
 
-def test_films_of_older_versions_are_compared_as_a_whole(tmp_path: Path) -> None:
+def test_films_of_older_versions_are_compared_as_a_whole(tmp_path):
     """They have a checksum of each array and none of a frame or of scene.ply."""
     path = write_motion(tmp_path)
     tensors, metadata = map_tensors(path / MOTION)
@@ -164,7 +163,7 @@ def test_films_of_older_versions_are_compared_as_a_whole(tmp_path: Path) -> None
 # --- tiles ---
 
 
-def test_colours_of_two_tiles_are_not_mixed_up(tmp_path: Path) -> None:
+def test_colours_of_two_tiles_are_not_mixed_up(tmp_path):
     path = write_tiles(tmp_path)
     one, other = path / "tile00000.colours.safetensors", path / "tile00001.colours.safetensors"
     one.rename(tmp_path / "aside")
@@ -174,7 +173,7 @@ def test_colours_of_two_tiles_are_not_mixed_up(tmp_path: Path) -> None:
         read_tiles(path).gaussians()
 
 
-def test_tiles_of_another_cut_are_refused(tmp_path: Path) -> None:
+def test_tiles_of_another_cut_are_refused(tmp_path):
     path, other = write_tiles(tmp_path), write_tiles(tmp_path, seed=1)
     for file in other.glob("tile0*"):
         shutil.copy(file, path)
@@ -183,7 +182,7 @@ def test_tiles_of_another_cut_are_refused(tmp_path: Path) -> None:
         tiles.shapes(tiles.tiles[0])
 
 
-def test_manifests_of_older_versions_name_no_checksums_and_are_read(tmp_path: Path) -> None:
+def test_manifests_of_older_versions_name_no_checksums_and_are_read(tmp_path):
     from drsplat.formats.checksums import sealed
 
     path = write_tiles(tmp_path)
@@ -199,7 +198,7 @@ def test_manifests_of_older_versions_name_no_checksums_and_are_read(tmp_path: Pa
 # --- what it is, and what was done ---
 
 
-def test_every_kind_says_what_it_is(tmp_path: Path, capsys: Capture) -> None:
+def test_every_kind_says_what_it_is(tmp_path, capsys):
     tiles = write_tiles(tmp_path)
     for path in (tiles, tiles / TILES):
         answer = answer_of(capsys, "inspect", path)
@@ -215,7 +214,7 @@ def test_every_kind_says_what_it_is(tmp_path: Path, capsys: Capture) -> None:
     assert "verified  " in text_of(capsys, "inspect", tiles, "--verify")
 
 
-def test_files_that_people_edit_say_what_was_read(tmp_path: Path, capsys: Capture) -> None:
+def test_files_that_people_edit_say_what_was_read(tmp_path, capsys):
     from drsplat.formats.annotations import AnnotationFile
 
     AnnotationFile.beside(tmp_path / "a.ply").add([Annotation("from Delft", np.zeros(3))])
@@ -232,7 +231,7 @@ def test_files_that_people_edit_say_what_was_read(tmp_path: Path, capsys: Captur
     assert "a.labels.json" in error_of(capsys, "inspect", tmp_path / "a.labels.json", "--verify")
 
 
-def test_a_faiss_index_is_told_by_its_content(tmp_path: Path, capsys: Capture) -> None:
+def test_a_faiss_index_is_told_by_its_content(tmp_path, capsys):
     (tmp_path / "index.bin2").write_bytes(b"IxF2" + bytes(40))
     assert "FAISS" in error_of(capsys, "inspect", tmp_path / "index.bin2")
     with pytest.raises(FormatError, match=r"FAISS index.*read_codebook"):

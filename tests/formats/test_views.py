@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
@@ -41,9 +42,9 @@ def capture(tmp_path: Path) -> Path:
 
 def same(a: View, b: View, atol: float = 1e-12) -> None:
     assert (a.name, a.width, a.height) == (b.name, b.width, b.height)
-    np.testing.assert_allclose(a.K, b.K, rtol=0, atol=atol)
-    np.testing.assert_allclose(a.cam_from_world, b.cam_from_world, rtol=0, atol=atol)
-    np.testing.assert_allclose(a.distortion or (0,) * 4, b.distortion or (0,) * 4, rtol=0, atol=0)
+    assert_allclose(a.K, b.K, rtol=0, atol=atol)
+    assert_allclose(a.cam_from_world, b.cam_from_world, rtol=0, atol=atol)
+    assert_allclose(a.distortion or (0,) * 4, b.distortion or (0,) * 4, rtol=0, atol=0)
 
 
 def project(view: View, points: np.ndarray) -> np.ndarray:
@@ -57,14 +58,14 @@ def project(view: View, points: np.ndarray) -> np.ndarray:
 
 def test_colmap_numbers(capture):
     a, _, c = read_views(capture)
-    np.testing.assert_array_equal(c.K, [[60, 0, 30.5], [0, 61, 25.25], [0, 0, 1]])
+    assert_array_equal(c.K, [[60, 0, 30.5], [0, 61, 25.25], [0, 0, 1]])
     assert c.distortion == (0.05, -0.01, 0.002, -0.003)
     assert a.distortion is None
     assert (a.width, a.height) == (64, 48)
     assert a.image_path == capture / "images" / "a photo.png"
     _, q, t, *_ = IMAGES[1]
-    np.testing.assert_allclose(np.linalg.inv(a.cam_from_world), camera_to_world(q, t), atol=1e-12)
-    np.testing.assert_allclose(a.center, camera_to_world(q, t)[:3, 3], atol=1e-12)
+    assert_allclose(np.linalg.inv(a.cam_from_world), camera_to_world(q, t), atol=1e-12)
+    assert_allclose(a.center, camera_to_world(q, t)[:3, 3], atol=1e-12)
 
 
 def test_views_are_sorted_by_name(capture):
@@ -79,7 +80,7 @@ def test_colmap_text_equals_binary(tmp_path):
     for a, b in zip(read_views(tmp_path / "text"), read_views(tmp_path / "binary"), strict=True):
         same(a, b, atol=0)
     for a, b in zip(read_points(tmp_path / "text"), read_points(tmp_path / "binary"), strict=True):
-        np.testing.assert_array_equal(a, b)
+        assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +99,7 @@ def test_camera_models(tmp_path, model, parameters, focal, distortion):
         write(tmp_path / write.__name__, [(1, model, 64, 48, parameters)], IMAGES[:1])
         write_photos(tmp_path / write.__name__, IMAGES[:1])
         (view,) = read_views(tmp_path / write.__name__)
-        np.testing.assert_array_equal(view.K, [[focal[0], 0, 31], [0, focal[1], 23], [0, 0, 1]])
+        assert_array_equal(view.K, [[focal[0], 0, 31], [0, focal[1], 23], [0, 0, 1]])
         assert view.distortion == distortion
 
 
@@ -123,8 +124,8 @@ def test_model_folders(tmp_path, folder):
 
 def test_points(capture):
     positions, colors = read_points(capture)
-    np.testing.assert_array_equal(positions, [x for _, x, _ in POINTS])
-    np.testing.assert_array_equal(colors, [c for *_, c in POINTS])
+    assert_array_equal(positions, [x for _, x, _ in POINTS])
+    assert_array_equal(colors, [c for *_, c in POINTS])
 
 
 def test_no_points_is_an_empty_cloud(tmp_path):
@@ -184,7 +185,7 @@ def test_photos_of_another_size_scale_the_camera(capture):
         assert (half.width, half.height) == (32, 24)
         assert half.image_path == capture / "images_2" / half.name
         expected = project(full, points) * (0.5, 0.5, 1)
-        np.testing.assert_allclose(project(half, points), expected, rtol=1e-12)
+        assert_allclose(project(half, points), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("size", [(32, 23), (1000, 751), (64, 49)])
@@ -193,7 +194,7 @@ def test_rounding_of_sizes_is_no_mismatch(tmp_path, size):
     write_photo(tmp_path / "b.png", *size)
     (view,) = read_views(tmp_path)
     assert (view.width, view.height) == size
-    np.testing.assert_allclose(view.K[:2, 2], np.array(size) / 2)
+    assert_allclose(view.K[:2, 2], np.array(size) / 2)
 
 
 @pytest.mark.parametrize("size", [(64, 50), (48, 64), (640, 500)])
@@ -208,7 +209,7 @@ def test_max_side(capture):
     points = np.random.default_rng(0).normal(size=(50, 3))
     for full, small in zip(read_views(capture), read_views(capture, max_side=16), strict=True):
         assert (small.width, small.height) == (16, 12)
-        np.testing.assert_allclose(project(small, points), project(full, points) * (0.25, 0.25, 1))
+        assert_allclose(project(small, points), project(full, points) * (0.25, 0.25, 1))
         assert small.distortion == full.distortion
     assert read_views(capture, max_side=64)[0].width == 64
     with pytest.raises(InputError, match="max_side"):
@@ -242,8 +243,8 @@ def test_transforms_look_down_minus_z(tmp_path):
     write_photo(tmp_path / "a.png")
     (view,) = read_views(tmp_path)
     ahead, right_up = project(view, np.array([[0, 0, -2.0], [1, 0.5, -2.0]]))
-    np.testing.assert_allclose(ahead, [32, 24, 2])
-    np.testing.assert_allclose(right_up, [64, 8, 2])
+    assert_allclose(ahead, [32, 24, 2])
+    assert_allclose(right_up, [64, 8, 2])
 
 
 def test_intrinsics_of_the_file_and_of_a_frame(tmp_path):
@@ -264,8 +265,8 @@ def test_field_of_view_without_size_or_suffix(tmp_path):
     (view,) = read_views(tmp_path)
     assert view.name == "train/r_0.png"
     assert (view.width, view.height) == (80, 60)
-    np.testing.assert_allclose(view.K[:2, 2], [40, 30])
-    np.testing.assert_allclose(2 * np.arctan(40 / view.K[0, 0]), 1.2)
+    assert_allclose(view.K[:2, 2], [40, 30])
+    assert_allclose(2 * np.arctan(40 / view.K[0, 0]), 1.2)
     assert view.K[0, 0] == view.K[1, 1]
 
 
@@ -328,23 +329,23 @@ def test_points_that_transforms_json_names(tmp_path):
         red=np.uint8([255, 1]), green=np.uint8([0, 2]), blue=np.uint8([7, 3]),
     )  # fmt: skip
     found = read_sparse_points(tmp_path)
-    np.testing.assert_array_equal(found.positions, [[1, 3, 5], [2, 4, 1e7 + 0.25]])
-    np.testing.assert_array_equal(found.colors, [[255, 0, 7], [1, 2, 3]])
+    assert_array_equal(found.positions, [[1, 3, 5], [2, 4, 1e7 + 0.25]])
+    assert_array_equal(found.colors, [[255, 0, 7], [1, 2, 3]])
     scale = {"transform": np.eye(4)[:3].tolist(), "scale": 2.0}
     write_json(tmp_path / "dataparser_transforms.json", scale)
     back = np.linalg.inv(np.array([*document["applied_transform"], [0, 0, 0, 1]]))
     expected = 2 * np.array([[1, 3, 5], [2, 4, 1e7 + 0.25]]) @ back[:3, :3].T
-    np.testing.assert_allclose(read_sparse_points(tmp_path).positions, expected)
+    assert_allclose(read_sparse_points(tmp_path).positions, expected)
 
 
 def test_points_of_any_ply(tmp_path, capture):
     write_cloud(tmp_path / "grey.ply", x=[1.0], y=[2.0], z=[3.0], intensity=[0.5])
     found = read_sparse_points(capture, points=tmp_path / "grey.ply")
-    np.testing.assert_array_equal(found.positions, [[1, 2, 3]])
-    np.testing.assert_array_equal(found.colors, [[128] * 3])
+    assert_array_equal(found.positions, [[1, 2, 3]])
+    assert_array_equal(found.colors, [[128] * 3])
     write_cloud(tmp_path / "shares.ply", x=[1.0], y=[2.0], z=[3.0], red=[1.0], green=[0.5], blue=[0.0])  # fmt: skip
     found = read_sparse_points(capture, points=tmp_path / "shares.ply")
-    np.testing.assert_array_equal(found.colors, [[255, 128, 0]])
+    assert_array_equal(found.colors, [[255, 128, 0]])
 
 
 @pytest.mark.parametrize(
@@ -498,7 +499,7 @@ def test_dataparser_transforms(capture, tmp_path_factory, beside):
     after = read_views(capture, dataparser_transforms=None if beside else path)
     for a, b in zip(before, after, strict=True):
         expected = project(a, points) * (1, 1, scale)
-        np.testing.assert_allclose(project(b, moved(points, transform, scale)), expected, atol=1e-9)
+        assert_allclose(project(b, moved(points, transform, scale)), expected, atol=1e-9)
 
 
 def test_dataparser_transforms_start_from_colmap_for_transforms_json_too(capture):

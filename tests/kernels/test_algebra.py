@@ -20,7 +20,7 @@ few = settings(derandomize=True, deadline=None, max_examples=40)
 
 @every_isa
 @pytest.mark.parametrize("dim", [1, 3, 16, 35, 128, 512, 768])
-def test_weighted_rows_are_those_of_the_twin(isa: str, dim: int) -> None:
+def test_weighted_rows_are_those_of_the_twin(isa, dim):
     rng = np.random.default_rng(dim)
     w = random_weights(rng, 150, 300, 0.05)
     csr, embeddings = (w.indptr, w.indices, w.data), unit_rows(rng, 300, dim)
@@ -35,7 +35,7 @@ def test_weighted_rows_are_those_of_the_twin(isa: str, dim: int) -> None:
 
 
 @every_isa
-def test_long_rows_keep_their_precision(isa: str) -> None:
+def test_long_rows_keep_their_precision(isa):
     rng = np.random.default_rng(0)
     embeddings = unit_rows(rng, 500, 64)
     weights = rng.lognormal(0, 3, 40_000).astype(np.float32)
@@ -45,7 +45,7 @@ def test_long_rows_keep_their_precision(isa: str) -> None:
     assert np.linalg.norm(row - reference_algebra.weighted_rows(*csr, embeddings, 0, 1)) <= 1e-6
 
 
-def test_tiny_and_huge_weights_are_normalised_alike() -> None:
+def test_tiny_and_huge_weights_are_normalised_alike():
     embeddings = unit_rows(np.random.default_rng(1), 2, 48)
     csr = np.array([0, 2, 4, 6]), np.array([0, 1] * 3, np.int32)
     weights = np.array([3, 1, 3e-25, 1e-25, 3e25, 1e25], np.float32)
@@ -54,7 +54,7 @@ def test_tiny_and_huge_weights_are_normalised_alike() -> None:
     assert_allclose(rows[1:], rows[[0, 0]], atol=1e-6)
 
 
-def test_rows_that_cancel_or_are_empty_stay_zero() -> None:
+def test_rows_that_cancel_or_are_empty_stay_zero():
     embeddings = np.array([[1, 0], [-1, 0]], np.float32)
     csr = np.array([0, 2, 2, 3]), np.array([0, 1, 1], np.int32), np.array([2, 2, 0], np.float32)
     assert_array_equal(weighted_rows(*csr, embeddings, 0, 3), np.zeros((3, 2)))
@@ -63,7 +63,7 @@ def test_rows_that_cancel_or_are_empty_stay_zero() -> None:
 @every_isa
 @few
 @given(st.integers(0, 70), st.integers(0, 200), st.integers(0, 70), st.integers(0, 99))
-def test_dense_rows_are_those_of_the_twin(isa: str, rows: int, depth: int, width: int, seed: int) -> None:
+def test_dense_rows_are_those_of_the_twin(isa, rows, depth, width, seed):
     rng = np.random.default_rng(seed)
     a, b = (rng.standard_normal(shape).astype(np.float32) for shape in ((rows, depth), (depth, width)))
     assert_allclose(dense_rows(a, b, isa=isa), reference_algebra.dense_rows(a, b), rtol=0, atol=1e-4)
@@ -74,9 +74,7 @@ def test_dense_rows_are_those_of_the_twin(isa: str, rows: int, depth: int, width
 @every_isa
 @few
 @given(*(st.integers(*ends) for ends in ((0, 9), (1, 12), (1, 12), (0, 9), (0, 50), (1, 4), (0, 99))))
-def test_convolutions_are_those_of_the_twin(
-    isa: str, count: int, height: int, width: int, channels: int, outputs: int, stride: int, seed: int
-) -> None:
+def test_convolutions_are_those_of_the_twin(isa, count, height, width, channels, outputs, stride, seed):
     rng = np.random.default_rng(seed)
     shapes = (count, height, width, channels), (9 * channels, outputs), (outputs,)
     images, weight, bias = (rng.standard_normal(shape).astype(np.float32) for shape in shapes)
@@ -86,7 +84,7 @@ def test_convolutions_are_those_of_the_twin(
     assert_array_equal(convolve(images[part], weight, bias, stride, threads=2, isa=isa), found[part])
 
 
-def test_convolutions_that_do_not_fit_are_refused() -> None:
+def test_convolutions_that_do_not_fit_are_refused():
     images = np.zeros((1, 4, 4, 2), np.float32)
     with pytest.raises(InputError, match=r"weights \(17, 16\)"):
         convolve(images, np.zeros((17, 16), np.float32), np.zeros(16, np.float32))
@@ -96,7 +94,7 @@ def test_convolutions_that_do_not_fit_are_refused() -> None:
 
 @few
 @given(st.integers(0, 300), st.integers(1, 40), st.integers(1, 9), st.integers(0, 99))
-def test_sums_of_codes_are_those_of_the_twin(rows: int, subvectors: int, dim: int, seed: int) -> None:
+def test_sums_of_codes_are_those_of_the_twin(rows, subvectors, dim, seed):
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((rows, subvectors * dim)).astype(np.float32)
     codes = rng.integers(0, 256, (rows, subvectors)).astype(np.uint8)
@@ -107,19 +105,19 @@ def test_sums_of_codes_are_those_of_the_twin(rows: int, subvectors: int, dim: in
         assert_array_equal(counts, wanted[1])
 
 
-def test_codes_of_other_points_are_refused() -> None:
+def test_codes_of_other_points_are_refused():
     with pytest.raises(InputError, match=r"got \(4, 7\) and \(4, 2\)"):
         code_sums(np.zeros((4, 7), np.float32), np.zeros((4, 2), np.uint8))
 
 
-def test_matrices_that_do_not_fit_are_refused() -> None:
+def test_matrices_that_do_not_fit_are_refused():
     with unchecked_types(), pytest.raises(InputError, match=r"got \(3, 4\) and \(5, 6\)"):
         dense_rows(np.zeros((3, 4), np.float32), np.zeros((5, 6), np.float32))
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 @pytest.mark.parametrize("dim", [3, 17, 512])
-def test_row_products_do_not_depend_on_the_rows_beside(dim: int, kind: type) -> None:
+def test_row_products_do_not_depend_on_the_rows_beside(dim, kind):
     """A BLAS cuts them into a part for each thread."""
     rng = np.random.default_rng(dim)
     rows, vector = rng.normal(size=(5003, dim)).astype(kind), rng.normal(size=dim).astype(kind)
@@ -131,7 +129,7 @@ def test_row_products_do_not_depend_on_the_rows_beside(dim: int, kind: type) -> 
 
 
 @every_isa
-def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
+def test_any_number_of_threads_gives_the_same_bits(isa):
     rng = np.random.default_rng(2)
     w, embeddings = random_weights(rng, 900, 200, 0.05), unit_rows(rng, 200, 96)
     centroids = rng.standard_normal((24, 256, 4)).astype(np.float32) / 10
@@ -158,7 +156,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
         ([0, 2], 0, (1, 0)),
     ],
 )
-def test_damaged_weights_are_refused(indptr: list[int], column: int, rows: tuple[int, int]) -> None:
+def test_damaged_weights_are_refused(indptr, column, rows):
     columns, data = np.array([0, column], np.int32), np.ones(2, np.float32)
     with pytest.raises(InputError):
         weighted_rows(np.array(indptr), columns, data, np.ones((5, 8), np.float32), *rows)
@@ -167,7 +165,7 @@ def test_damaged_weights_are_refused(indptr: list[int], column: int, rows: tuple
 @every_isa
 @pytest.mark.parametrize("dim", [1, 2, 3, 4, 5, 8, 16])
 @pytest.mark.parametrize("rows", [1, 31, 33])
-def test_codes_are_nearest_centroids(isa: str, dim: int, rows: int) -> None:
+def test_codes_are_nearest_centroids(isa, dim, rows):
     rng = np.random.default_rng(dim)
     features = rng.standard_normal((rows, 6 * dim)).astype(np.float32)
     centroids = rng.standard_normal((6, 256, dim)).astype(np.float32)
@@ -179,7 +177,7 @@ def test_codes_are_nearest_centroids(isa: str, dim: int, rows: int) -> None:
 
 
 @every_isa
-def test_ties_go_to_the_lowest_centroid(isa: str) -> None:
+def test_ties_go_to_the_lowest_centroid(isa):
     centroids = np.zeros((3, 256, 4), np.float32)
     centroids[0, 7:] = 1  # 7 and all after it are one point
     centroids[1, ::2] = 1
@@ -189,7 +187,7 @@ def test_ties_go_to_the_lowest_centroid(isa: str) -> None:
 
 
 @every_isa
-def test_a_feature_equal_to_a_centroid_gets_its_code(isa: str) -> None:
+def test_a_feature_equal_to_a_centroid_gets_its_code(isa):
     """Also far from the origin, where expanded squares would cancel."""
     rng = np.random.default_rng(3)
     centroids = (100 + 1e-4 * rng.standard_normal((8, 256, 4))).astype(np.float32)
@@ -199,7 +197,7 @@ def test_a_feature_equal_to_a_centroid_gets_its_code(isa: str) -> None:
     assert_array_equal(pq_encode(features, centroids, isa=isa), first)
 
 
-def test_arguments_that_do_not_fit_are_refused() -> None:
+def test_arguments_that_do_not_fit_are_refused():
     features, centroids = np.zeros((4, 6), np.float32), np.zeros((3, 256, 2), np.float32)
     with pytest.raises(InputError, match="centroids"):
         pq_encode(features, centroids[:2])
@@ -212,7 +210,7 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_columns_are_numbered_anew_taken_out_and_put_in(threads: int) -> None:
+def test_columns_are_numbered_anew_taken_out_and_put_in(threads):
     rng = np.random.default_rng(threads)
     old, more = random_weights(rng, 9000, 20, 0.2), random_weights(rng, 9000, 6, 0.1)
     numbers = np.array([-1, 0, 1, 3, 5, -1, *range(7, 20), 23], np.int32)  # 2, 4, 6 and 20 to 22 are new

@@ -410,7 +410,7 @@ def test_wrong_arguments_say_so():
         render_channels(arrays, view, np.ones((2, 3), np.float32))
 
 
-def test_the_environment_may_name_the_instruction_set(monkeypatch: pytest.MonkeyPatch):
+def test_the_environment_may_name_the_instruction_set(monkeypatch):
     monkeypatch.setenv("DRSPLAT_ISA", "portable")
     assert default_isa() == "portable"
     monkeypatch.setenv("DRSPLAT_ISA", "v9")
@@ -421,7 +421,7 @@ def test_the_environment_may_name_the_instruction_set(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_the_label_of_a_pixel_is_that_of_the_twin(threads: int) -> None:
+def test_the_label_of_a_pixel_is_that_of_the_twin(threads):
     rng = np.random.default_rng(0)
     ids = rng.integers(-1, 50, (90, 70, 8)).astype(np.int32)
     weights = (rng.integers(0, 9, ids.shape) / 16).astype(np.float32)  # whose sums are exact, and often equal
@@ -430,7 +430,7 @@ def test_the_label_of_a_pixel_is_that_of_the_twin(threads: int) -> None:
     assert_array_equal(found, compositing.heaviest_labels(ids, weights, labels))
 
 
-def test_pixels_of_other_gaussians_have_no_label() -> None:
+def test_pixels_of_other_gaussians_have_no_label():
     seen = Contributions(np.full((2, 3, 8), 5, np.int32), np.ones((2, 3, 8), np.float32))
     with pytest.raises(InputError, match=r"ids of Gaussians with a label; got \(2, 3, 8\) of 5"):
         heaviest_labels(seen, np.zeros(5, np.int32))

@@ -65,7 +65,7 @@ def decoded(encoded: tuple[np.ndarray, ...], dictionary: Dictionary) -> np.ndarr
 
 
 @every_isa
-def test_of_orthogonal_atoms_the_heaviest_are_chosen(isa: str) -> None:
+def test_of_orthogonal_atoms_the_heaviest_are_chosen(isa):
     rng = np.random.default_rng(0)
     features = rng.random((50, 20)).astype(np.float32)
     everything = np.tile(np.arange(20, dtype=np.int32), 50)
@@ -80,7 +80,7 @@ def test_of_orthogonal_atoms_the_heaviest_are_chosen(isa: str) -> None:
 
 @every_isa
 @pytest.mark.parametrize("dim", [3, 16, 47, 128, 512])
-def test_a_row_of_few_atoms_is_found_again(isa: str, dim: int) -> None:
+def test_a_row_of_few_atoms_is_found_again(isa, dim):
     rng = np.random.default_rng(dim)
     dictionary = quantised(unit_rows(rng, 30, dim))
     table = reference_mixture.atoms(dictionary)
@@ -97,7 +97,7 @@ def test_a_row_of_few_atoms_is_found_again(isa: str, dim: int) -> None:
 @pytest.mark.slow
 @every_isa
 @pytest.mark.parametrize(("per_row", "further"), [(1, 0), (2, 3), (4, 16), (8, 5), (16, 0)])
-def test_encoding_is_that_of_the_twin(isa: str, per_row: int, further: int) -> None:
+def test_encoding_is_that_of_the_twin(isa, per_row, further):
     rng = np.random.default_rng(per_row)
     common = rng.standard_normal(64)
     dictionary = quantised((rng.standard_normal((120, 64)) + common).astype(np.float32))
@@ -116,7 +116,7 @@ def test_encoding_is_that_of_the_twin(isa: str, per_row: int, further: int) -> N
 
 @few
 @given(st.integers(0, 10_000))
-def test_more_atoms_never_fit_worse_and_all_are_candidates(seed: int) -> None:
+def test_more_atoms_never_fit_worse_and_all_are_candidates(seed):
     rng = np.random.default_rng(seed)
     dictionary, given = quantised(unit_rows(rng, 40, 24)), candidates_of(rng, 20, 40, 2)
     features = unit_rows(rng, 20, 24)
@@ -133,7 +133,7 @@ def test_more_atoms_never_fit_worse_and_all_are_candidates(seed: int) -> None:
             assert len(set(chosen)) == len(chosen)
 
 
-def test_rows_without_candidates_or_direction_are_zero() -> None:
+def test_rows_without_candidates_or_direction_are_zero():
     rng = np.random.default_rng(1)
     dictionary = quantised(unit_rows(rng, 5, 8))
     opposite = -reference_mixture.atoms(dictionary)[2:3].astype(np.float32)
@@ -145,7 +145,7 @@ def test_rows_without_candidates_or_direction_are_zero() -> None:
     assert not scales.any()
 
 
-def test_equal_atoms_and_atoms_without_direction_do_no_harm() -> None:
+def test_equal_atoms_and_atoms_without_direction_do_no_harm():
     vectors = np.repeat(unit_rows(np.random.default_rng(2), 2, 16), 4, axis=0)
     vectors[7] = 0
     given = Candidates(np.array([0, 8]), np.arange(8, dtype=np.int32), np.zeros((1, 2), np.int32))
@@ -157,7 +157,7 @@ def test_equal_atoms_and_atoms_without_direction_do_no_harm() -> None:
 
 
 @every_isa
-def test_nearest_centres_are_those_of_the_twin(isa: str) -> None:
+def test_nearest_centres_are_those_of_the_twin(isa):
     rng = np.random.default_rng(3)
     for count, dim in ((1, 5), (3, 16), (64, 33), (203, 64)):
         points, centres = unit_rows(rng, 131, dim), unit_rows(rng, count, dim)
@@ -167,7 +167,7 @@ def test_nearest_centres_are_those_of_the_twin(isa: str) -> None:
 
 
 @every_isa
-def test_nearest_members_are_those_of_the_twin(isa: str) -> None:
+def test_nearest_members_are_those_of_the_twin(isa):
     rng = np.random.default_rng(4)
     dictionary, points = quantised(unit_rows(rng, 80, 40)), unit_rows(rng, 90, 40)
     members = np.stack([rng.choice(80, 30, replace=False) for _ in range(6)]).astype(np.int32)
@@ -182,7 +182,7 @@ def test_nearest_members_are_those_of_the_twin(isa: str) -> None:
 @every_isa
 @pytest.mark.parametrize("per_row", [1, 2, 3, 4, 5, 8, 16])
 @pytest.mark.parametrize(("rows", "dim"), [(1, 1), (64, 35), (200, 64), (4099, 16), (77, 768)])
-def test_scores_are_those_of_the_twin(isa: str, per_row: int, rows: int, dim: int) -> None:
+def test_scores_are_those_of_the_twin(isa, per_row, rows, dim):
     rng = np.random.default_rng(rows + per_row)
     blocks, dictionary = random_code(rng, rows, per_row=per_row, dim=dim)
     queries = unit_rows(rng, 3, dim)
@@ -194,7 +194,7 @@ def test_scores_are_those_of_the_twin(isa: str, per_row: int, rows: int, dim: in
     assert not found[:, ::7].any()
 
 
-def test_flat_and_spiky_queries_keep_their_digits() -> None:
+def test_flat_and_spiky_queries_keep_their_digits():
     rng = np.random.default_rng(5)
     blocks, _ = random_code(rng, dim=512)
     flat = np.full((90, 512), 512**-0.5, np.float32)  # as large as sums of products get
@@ -208,7 +208,7 @@ def test_flat_and_spiky_queries_keep_their_digits() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 31, 33, 256, 257, 600])
 @pytest.mark.parametrize("per_row", [1, 4, 5, 16])
-def test_the_best_are_those_of_all_scores_to_the_bit(count: int, per_row: int) -> None:
+def test_the_best_are_those_of_all_scores_to_the_bit(count, per_row):
     rng = np.random.default_rng(count)
     blocks, dictionary = random_code(rng, 150, per_row=per_row)
     queries = unit_rows(rng, count, 48)
@@ -224,7 +224,7 @@ def test_the_best_are_those_of_all_scores_to_the_bit(count: int, per_row: int) -
         assert (index == scores.argmax(axis=0)).mean() > 0.99
 
 
-def test_the_twin_of_best_is_argmax() -> None:
+def test_the_twin_of_best_is_argmax():
     blocks, dictionary = random_code(np.random.default_rng(6))
     queries = unit_rows(np.random.default_rng(7), 9, 48)
     index, best, runner_up = reference_mixture.mixture_best(blocks, dictionary, queries)
@@ -236,7 +236,7 @@ def test_the_twin_of_best_is_argmax() -> None:
 
 @few
 @given(st.integers(0, 10_000), st.floats(-0.3, 0.3), st.booleans())
-def test_selections_are_those_of_all_scores(seed: int, threshold: float, floored: bool) -> None:
+def test_selections_are_those_of_all_scores(seed, threshold, floored):
     rng = np.random.default_rng(seed)
     blocks, dictionary = random_code(rng, int(rng.integers(1, 9000)), dim=16)
     query, rows = unit_rows(rng, 1, 16), len(blocks.scales)
@@ -249,7 +249,7 @@ def test_selections_are_those_of_all_scores(seed: int, threshold: float, floored
 
 
 @pytest.mark.parametrize("count", [1, 10, 5000, 20_000])
-def test_the_top_rows_are_those_of_all_scores(count: int) -> None:
+def test_the_top_rows_are_those_of_all_scores(count):
     rng = np.random.default_rng(8)
     blocks, dictionary = random_code(rng, 15_000, atoms=20, per_row=1, dim=16)  # many ties
     query = unit_rows(rng, 1, 16)
@@ -261,7 +261,7 @@ def test_the_top_rows_are_those_of_all_scores(count: int) -> None:
 
 
 @every_isa
-def test_threads_change_no_bit(isa: str) -> None:
+def test_threads_change_no_bit(isa):
     rng = np.random.default_rng(9)
     blocks, dictionary = random_code(rng, 20_000)
     queries, given = unit_rows(rng, 40, 48), candidates_of(rng, 900, 90, 4)
@@ -282,7 +282,7 @@ def test_threads_change_no_bit(isa: str) -> None:
         assert_array_equal(one, three)
 
 
-def test_instruction_sets_and_groupings_of_queries_change_no_bit_of_a_score() -> None:
+def test_instruction_sets_and_groupings_of_queries_change_no_bit_of_a_score():
     rng = np.random.default_rng(10)
     blocks, dictionary = random_code(rng, 500, dim=75)
     queries = unit_rows(rng, 70, 75)
@@ -294,7 +294,7 @@ def test_instruction_sets_and_groupings_of_queries_change_no_bit_of_a_score() ->
             assert_array_equal(alone[0], expected[i])
 
 
-def test_python_threads_do_not_disturb_each_other() -> None:
+def test_python_threads_do_not_disturb_each_other():
     rng = np.random.default_rng(11)
     blocks, dictionary = random_code(rng, 9000)
     queries = unit_rows(rng, 12, 48)
@@ -305,7 +305,7 @@ def test_python_threads_do_not_disturb_each_other() -> None:
 
 
 @every_isa
-def test_ids_of_no_atom_score_nothing(isa: str) -> None:
+def test_ids_of_no_atom_score_nothing(isa):
     """Files are checked when they are read; the kernels are safe without."""
     blocks, dictionary = random_code(np.random.default_rng(12))
     wild = Blocks(np.full_like(blocks.ids, 65535), blocks.weights, blocks.scales)
@@ -316,7 +316,7 @@ def test_ids_of_no_atom_score_nothing(isa: str) -> None:
     assert ((index >= 0) & (index < 40)).all()
 
 
-def test_bad_arguments_are_refused() -> None:
+def test_bad_arguments_are_refused():
     rng = np.random.default_rng(14)
     blocks, dictionary = random_code(rng)
     query, short = unit_rows(rng, 1, 48), unit_rows(rng, 1, 47)

@@ -107,7 +107,7 @@ def calls() -> list[Callable[[], object]]:
     ]
 
 
-def test_python_threads_at_once_change_no_bit() -> None:
+def test_python_threads_at_once_change_no_bit():
     every = calls()
     expected = [[np.array(part) for part in call()] for call in every]
 
@@ -121,7 +121,7 @@ def test_python_threads_at_once_change_no_bit() -> None:
         list(pool.map(work, range(PYTHON_THREADS)))
 
 
-def test_one_pass_that_threads_share_is_gone_through_once() -> None:
+def test_one_pass_that_threads_share_is_gone_through_once():
     arrays = [floats(500, 3), floats(500, 3) - 3, floats(500, 4), floats(500), floats(500, 4, 3)]
     arrays[0][:, 2] += 4
     view = _native.training_pass(*arrays, False, SEEN, WIDTH, HEIGHT, 4, np.zeros(3, "f"), INSIDE, "")

@@ -109,7 +109,7 @@ def _degrees(rotation: np.ndarray) -> float:
 
 
 @has_colmap
-def test_the_room_is_posed(mixed: tuple[Path, dict[str, Any]], views: list[View]) -> None:
+def test_the_room_is_posed(mixed, views):
     output, record = mixed
     posed = {view.name: view for view in read_views(output)}
     assert sorted(posed) == sorted(f"room/Über {k} .{'png' if k == 4 else 'jpg'}" for k in range(NUM_GOOD))
@@ -124,9 +124,7 @@ def test_the_room_is_posed(mixed: tuple[Path, dict[str, Any]], views: list[View]
 
 
 @has_colmap
-def test_inspect_and_train_take_the_capture(
-    mixed: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_inspect_and_train_take_the_capture(mixed, tmp_path, capsys):
     assert main(["inspect", str(mixed[0]), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["num_photos"] == NUM_GOOD
     line = ["train", str(mixed[0]), "-o", str(tmp_path / "model"), "--iterations", "2", "--resolution", "64", "--json"]
@@ -135,14 +133,14 @@ def test_inspect_and_train_take_the_capture(
 
 
 @has_colmap
-def test_a_world_of_unknown_size_is_in_units(mixed: tuple[Path, dict[str, Any]]) -> None:
+def test_a_world_of_unknown_size_is_in_units(mixed):
     _, record = mixed
     assert (record["unit"], record["scale_from"], record["up"], record["up_from"]) == ("units", "", "+z", "horizons")
     assert record["georeferenced"] is False
 
 
 @has_colmap
-def test_photos_are_upright_and_show_what_they_showed(mixed: tuple[Path, dict[str, Any]], views: list[View]) -> None:
+def test_photos_are_upright_and_show_what_they_showed(mixed, views):
     for view in read_views(mixed[0]):
         true = views[int(view.name.split()[1].partition(".")[0])]
         difference = np.abs(load_image(replace(view, distortion=None)).astype(int) - photographed(true))
@@ -150,7 +148,7 @@ def test_photos_are_upright_and_show_what_they_showed(mixed: tuple[Path, dict[st
 
 
 @has_colmap
-def test_every_photo_without_a_pose_has_its_reason(mixed: tuple[Path, dict[str, Any]]) -> None:
+def test_every_photo_without_a_pose_has_its_reason(mixed):
     reasons = {one["name"]: one["reason"] for one in mixed[1]["left_out"]}
     expected = {
         "z_copy.jpg": "same file as room/Über 0 .jpg", "cut.jpg": "damaged", "empty.jpg": "empty",
@@ -163,7 +161,7 @@ def test_every_photo_without_a_pose_has_its_reason(mixed: tuple[Path, dict[str, 
 
 
 @has_colmap
-def test_the_photos_are_only_read(good_photos: Path, tmp_path: Path) -> None:
+def test_the_photos_are_only_read(good_photos, tmp_path):
     before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in good_photos.iterdir()}
     assert main(["capture", str(good_photos), "--output", str(tmp_path / "capture"), "--json", "--threads", "2"]) == 0
     assert before == {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in good_photos.iterdir()}
@@ -172,9 +170,7 @@ def test_the_photos_are_only_read(good_photos: Path, tmp_path: Path) -> None:
 
 
 @has_colmap
-def test_a_killed_run_goes_on_and_ends_as_one_that_was_not(
-    good_photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_killed_run_goes_on_and_ends_as_one_that_was_not(good_photos, tmp_path, capsys):
     line = [sys.executable, "-m", "drsplat", "capture", str(good_photos), "--output", str(tmp_path / "c"), "--json"]
     for until in ("photos.jsonl", "radial.json", "pairs.txt"):
         process = subprocess.Popen([*line, "--threads", "1"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -194,7 +190,7 @@ def test_a_killed_run_goes_on_and_ends_as_one_that_was_not(
 
 
 @has_colmap
-def test_an_interrupted_run_says_how_to_go_on_and_keeps_photos(good_photos: Path, tmp_path: Path) -> None:
+def test_an_interrupted_run_says_how_to_go_on_and_keeps_photos(good_photos, tmp_path):
     line = [sys.executable, "-m", "drsplat", "capture", str(good_photos), "--output", str(tmp_path / "c")]
     process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not (tmp_path / "c/.work/colmap.log").exists():
@@ -208,8 +204,8 @@ def test_an_interrupted_run_says_how_to_go_on_and_keeps_photos(good_photos: Path
 
 @has_colmap
 def test_a_run_that_is_stopped_while_it_moves_things_into_place_is_finished_by_the_next(
-    good_photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    good_photos, tmp_path, monkeypatch
+):
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -239,7 +235,7 @@ def _after(calls: int, stop: Callable[[], None]) -> Callable[[Path], None]:
 
 
 @has_colmap
-def test_a_run_on_one_thread_gives_the_same_bits_again(good_photos: Path, tmp_path: Path) -> None:
+def test_a_run_on_one_thread_gives_the_same_bits_again(good_photos, tmp_path):
     for name in ("one", "other"):
         capture(good_photos, tmp_path / name, threads=1)
     for part in ("cameras", "images", "points3D"):
@@ -247,7 +243,7 @@ def test_a_run_on_one_thread_gives_the_same_bits_again(good_photos: Path, tmp_pa
         assert one.read_bytes() == other.read_bytes(), part
 
 
-def test_importing_the_verb_imports_no_extra() -> None:
+def test_importing_the_verb_imports_no_extra():
     code = "import sys; import drsplat.fronts.commands.capture; "
     code += "import drsplat.photos.capture.capturing, drsplat.photos.capture.videos; "
     code += "print(*{'pycolmap', 'av', 'pi_heif'} & set(sys.modules))"
@@ -255,7 +251,7 @@ def test_importing_the_verb_imports_no_extra() -> None:
 
 
 @has_colmap
-def test_photos_that_are_added_to_a_stopped_run_are_taken(good_photos: Path, tmp_path: Path) -> None:
+def test_photos_that_are_added_to_a_stopped_run_are_taken(good_photos, tmp_path):
     some = tmp_path / "photos"
     some.mkdir()
     for path in sorted(good_photos.iterdir())[:2]:
@@ -268,9 +264,7 @@ def test_photos_that_are_added_to_a_stopped_run_are_taken(good_photos: Path, tmp
 
 
 @has_colmap
-def test_a_capture_is_replaced_only_on_demand_and_stays_until_then(
-    mixed: tuple[Path, dict[str, Any]], good_photos: Path, tmp_path: Path
-) -> None:
+def test_a_capture_is_replaced_only_on_demand_and_stays_until_then(mixed, good_photos, tmp_path):
     output, _ = mixed
     with pytest.raises(InputError, match="exists already: pass overwrite=True"):
         capture(good_photos, output)
@@ -281,7 +275,7 @@ def test_a_capture_is_replaced_only_on_demand_and_stays_until_then(
     assert len(read_views(output)) == NUM_GOOD
 
 
-def test_what_is_not_ours_is_not_replaced(good_photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_ours_is_not_replaced(good_photos, tmp_path, monkeypatch):
     monkeypatch.setattr(program, "find_spec", lambda name: name)
     (tmp_path / "capture/images").mkdir(parents=True)
     with pytest.raises(InputError, match="holds images, which drsplat capture did not make"):
@@ -289,17 +283,13 @@ def test_what_is_not_ours_is_not_replaced(good_photos: Path, tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("place", [".", "inside", ".."])
-def test_an_output_in_or_around_the_photos_is_refused(
-    place: str, good_photos: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_output_in_or_around_the_photos_is_refused(place, good_photos, monkeypatch):
     monkeypatch.setattr(program, "find_spec", lambda name: name)
     with pytest.raises(InputError, match="name an output beside their folder"):
         capture(good_photos, good_photos / place)
 
 
-def test_without_pycolmap_the_error_says_what_to_install(
-    good_photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_pycolmap_the_error_says_what_to_install(good_photos, tmp_path, monkeypatch):
     monkeypatch.setattr(program, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r'pip install .*\[capture\]"'):
         capture(good_photos, tmp_path / "capture")
@@ -316,9 +306,7 @@ def test_without_pycolmap_the_error_says_what_to_install(
     ],
     ids=["one", "alike", "empty"],
 )
-def test_too_few_photos_are_an_error_that_says_why(
-    photos: dict[str, int | None], message: str, views: list[View], tmp_path: Path
-) -> None:
+def test_too_few_photos_are_an_error_that_says_why(photos, message, views, tmp_path):
     (tmp_path / "photos").mkdir()
     for name, index in photos.items():
         content = b"" if index is None else jpeg(photographed(views[index]), exif_of(views[index]))
@@ -328,7 +316,7 @@ def test_too_few_photos_are_an_error_that_says_why(
 
 
 @has_colmap
-def test_photos_without_texture_are_an_error_that_names_them(tmp_path: Path) -> None:
+def test_photos_without_texture_are_an_error_that_names_them(tmp_path):
     (tmp_path / "photos").mkdir()
     for k in range(4):
         (tmp_path / f"photos/{k}.jpg").write_bytes(jpeg(np.full((300, 400, 3), 100 + k, np.uint8)))
@@ -337,7 +325,7 @@ def test_photos_without_texture_are_an_error_that_names_them(tmp_path: Path) -> 
 
 
 @has_colmap
-def test_a_camera_that_never_moved_is_an_error_that_says_so(views: list[View], tmp_path: Path) -> None:
+def test_a_camera_that_never_moved_is_an_error_that_says_so(views, tmp_path):
     """The same photo saved again and again: other bytes, the same place."""
     (tmp_path / "photos").mkdir()
     for k in range(4):
@@ -347,7 +335,7 @@ def test_a_camera_that_never_moved_is_an_error_that_says_so(views: list[View], t
 
 
 @has_colmap
-def test_a_blank_wall_with_noise_is_an_error_that_names_its_photos(tmp_path: Path) -> None:
+def test_a_blank_wall_with_noise_is_an_error_that_names_its_photos(tmp_path):
     rng = np.random.default_rng(0)
     (tmp_path / "photos").mkdir()
     for k in range(4):
@@ -358,7 +346,7 @@ def test_a_blank_wall_with_noise_is_an_error_that_names_its_photos(tmp_path: Pat
 
 
 @has_colmap
-def test_portrait_and_landscape_are_posed_together(views: list[View], tmp_path: Path) -> None:
+def test_portrait_and_landscape_are_posed_together(views, tmp_path):
     upright = np.array([[views[0].K[0, 0], 0, 150], [0, views[0].K[1, 1], 200], [0, 0, 1.0]])
     taken = [replace(view, K=upright, width=300, height=400) if k % 3 == 1 else view for k, view in enumerate(views)]
     (tmp_path / "photos").mkdir()
@@ -371,7 +359,7 @@ def test_portrait_and_landscape_are_posed_together(views: list[View], tmp_path: 
 
 
 @has_colmap
-def test_heic_photos_are_taken(good_photos: Path, tmp_path: Path) -> None:
+def test_heic_photos_are_taken(good_photos, tmp_path):
     pytest.importorskip("pi_heif", reason='needs pip install "drsplat[capture]"')
     heif = pytest.importorskip("pillow_heif", reason="needs pillow-heif, which can write HEIC")
     (tmp_path / "photos").mkdir()
@@ -384,7 +372,7 @@ def test_heic_photos_are_taken(good_photos: Path, tmp_path: Path) -> None:
     assert {view.name for view in read_views(tmp_path / "capture")} == {f"photo_0{k}.jpg" for k in range(5)}
 
 
-def test_an_unknown_lens_is_refused() -> None:
+def test_an_unknown_lens_is_refused():
     with pytest.raises(InputError, match="lens: expected one of pinhole, radial"):
         CaptureSettings(lens="bent")
 
@@ -396,9 +384,7 @@ def pixel_of(view: View, point: tuple[float, float, float]) -> tuple[float, floa
 
 
 @has_colmap
-def test_a_known_distance_gives_metres_and_keeps_the_poses(
-    good_photos: Path, views: list[View], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_known_distance_gives_metres_and_keeps_the_poses(good_photos, views, tmp_path, capsys):
     """Two places on a side of the lower box, 80 cm apart, one of them at its edge, each in a photo of its own."""
     line = ["capture", str(good_photos), "--output", str(tmp_path / "c"), "--threads", "2", "--json"]
     assert main(line) == 0
@@ -430,9 +416,7 @@ def test_a_known_distance_gives_metres_and_keeps_the_poses(
 
 
 @has_colmap
-def test_named_places_are_where_their_rays_meet(
-    good_photos: Path, views: list[View], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_named_places_are_where_their_rays_meet(good_photos, views, tmp_path, capsys):
     """A marker in the air, where no point is, and one on a box that a single photo shows; in metres of the room."""
     line = ["capture", str(good_photos), "--output", str(tmp_path / "c"), "--threads", "2", "--json"]
     assert main(line) == 0
@@ -465,7 +449,7 @@ def test_named_places_are_where_their_rays_meet(
     assert "or --places FILE.csv with NAME NAME METRES; got 3 values" in capsys.readouterr().err
 
 
-def test_rays_of_one_direction_tell_no_depth() -> None:
+def test_rays_of_one_direction_tell_no_depth():
     looks = [{"center": [x, 0.0, 0.0], "ray": [(2 - x) / 100, 0.0, 1.0]} for x in (0.0, 1.0)]
     with pytest.raises(InputError, match="from nearly one direction"):
         _meeting("'corner'", looks)
@@ -481,7 +465,7 @@ def test_rays_of_one_direction_tell_no_depth() -> None:
     ["", "name,x,y,photo\n", "name,photo,x,y\na,b,1\n", "name,photo,x,y\na,b,1,nan\n", "name,photo,x,y\n,b,1,2\n",
      "name,photo,x,y\na,b,1,2\na,b,3,4\n", "\xff"],
 )  # fmt: skip
-def test_damaged_tables_of_places_are_refused(text: str, tmp_path: Path) -> None:
+def test_damaged_tables_of_places_are_refused(text, tmp_path):
     (tmp_path / "places.csv").write_text(text, encoding="latin-1")
     with pytest.raises(FormatError, match=r"places\.csv"):
         read_places(tmp_path / "places.csv")
@@ -489,7 +473,7 @@ def test_damaged_tables_of_places_are_refused(text: str, tmp_path: Path) -> None
         read_places(tmp_path / "none.csv")
 
 
-def test_lengths_are_said_once() -> None:
+def test_lengths_are_said_once():
     known = KnownDistance(Place("a", 1, 2), Place("b", 3, 4), 1.0)
     with pytest.raises(InputError, match="give one"):
         CaptureSettings(scale=1.0, known_distance=known)
@@ -500,7 +484,7 @@ def test_lengths_are_said_once() -> None:
 
 
 @has_colmap
-def test_fisheye_photos_become_what_a_pinhole_sees(views: list[View], tmp_path: Path) -> None:
+def test_fisheye_photos_become_what_a_pinhole_sees(views, tmp_path):
     """Some 160 degrees from corner to corner."""
     wide = np.array([[180.0, 0, 200], [0, 180, 150], [0, 0, 1]])
     fisheyes = [replace(view, K=wide) for view in views]
@@ -530,7 +514,7 @@ sys.exit(main(sys.argv[1:]))
 
 @has_colmap
 @pytest.mark.parametrize("limit", [20_000, 400_000], ids=["for photos", "for features"])
-def test_a_full_disk_is_a_sentence_and_the_same_command_goes_on(limit: int, good_photos: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_a_sentence_and_the_same_command_goes_on(limit, good_photos, tmp_path):
     pytest.importorskip("resource", reason="this system has no limits on files")
     line = ["capture", str(good_photos), "--output", str(tmp_path / "c"), "--threads", "1"]
     program = [sys.executable, "-c", LIMITED.format(limit=limit)]
@@ -543,7 +527,7 @@ def test_a_full_disk_is_a_sentence_and_the_same_command_goes_on(limit: int, good
 
 
 @has_colmap
-def test_a_damaged_database_is_a_sentence(good_photos: Path, tmp_path: Path) -> None:
+def test_a_damaged_database_is_a_sentence(good_photos, tmp_path):
     (tmp_path / "c/.work").mkdir(parents=True)
     (tmp_path / "c/.work/radial.db").write_bytes(b"no database" * 1000)
     cameras = {camera_key(photo): 1 for photo in _bring_all(find_photos(good_photos), Work(tmp_path / "c"), quietly)}

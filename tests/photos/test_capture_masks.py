@@ -1,7 +1,6 @@
 """Masks beside photos: what they leave out has no part in poses."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,7 +31,7 @@ def with_gripper(pixels: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @has_colmap
-def test_what_a_robot_holds_before_its_camera_is_left_out(tmp_path: Path) -> None:
+def test_what_a_robot_holds_before_its_camera_is_left_out(tmp_path):
     views = room_views(8)
     (tmp_path / "photos/masks").mkdir(parents=True)
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
@@ -58,7 +57,7 @@ def test_what_a_robot_holds_before_its_camera_is_left_out(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("upright", [False, True])
-def test_masks_are_turned_with_their_photos(orientation: int, upright: bool, tmp_path: Path) -> None:
+def test_masks_are_turned_with_their_photos(orientation, upright, tmp_path):
     """A mask of the photo as stored is turned with it. One that is upright already is told by its shape alone."""
     exif = Image.Exif()
     exif[0x0112] = orientation
@@ -82,7 +81,7 @@ def test_masks_are_turned_with_their_photos(orientation: int, upright: bool, tmp
         assert np.array_equal(np.asarray(kept.resize((brought.width // 2, brought.height // 2))) > 127, expected > 127)
 
 
-def test_masks_that_fit_no_photo_are_errors(tmp_path: Path) -> None:
+def test_masks_that_fit_no_photo_are_errors(tmp_path):
     (tmp_path / "masks").mkdir()
     Image.fromarray(CORNER).resize((160, 120)).save(tmp_path / "a.jpg")
     with pytest.raises(InputError, match="no mask in it has a photo's name"):
@@ -94,7 +93,7 @@ def test_masks_that_fit_no_photo_are_errors(tmp_path: Path) -> None:
         bring(find_photos(tmp_path)[0], tmp_path)
 
 
-def test_a_photo_whose_mask_is_black_is_left_out_with_a_reason(tmp_path: Path) -> None:
+def test_a_photo_whose_mask_is_black_is_left_out_with_a_reason(tmp_path):
     Image.fromarray(CORNER).resize((160, 120)).save(tmp_path / "a.jpg")
     (tmp_path / "masks").mkdir()
     Image.fromarray(np.full((120, 160), 255, np.uint8)).save(tmp_path / "masks/a.png")
@@ -108,7 +107,7 @@ def test_a_photo_whose_mask_is_black_is_left_out_with_a_reason(tmp_path: Path) -
 
 @pytest.mark.slow
 @has_colmap
-def test_masks_of_fisheyes_are_undistorted_with_their_photos(tmp_path: Path) -> None:
+def test_masks_of_fisheyes_are_undistorted_with_their_photos(tmp_path):
     """Photos are painted white where their masks leave them out: in the capture both still agree."""
     wide = np.array([[180.0, 0, WIDTH / 2], [0, 180.0, HEIGHT / 2], [0, 0, 1]])
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
@@ -131,7 +130,7 @@ def test_masks_of_fisheyes_are_undistorted_with_their_photos(tmp_path: Path) -> 
         assert (white == kept).mean() < 0.01  # of the border of what is painted
 
 
-def test_masks_lie_beside_a_folder_of_images(tmp_path: Path) -> None:
+def test_masks_lie_beside_a_folder_of_images(tmp_path):
     (tmp_path / "images").mkdir()
     (tmp_path / "masks").mkdir()
     Image.fromarray(CORNER).save(tmp_path / "images/a.jpg")

@@ -21,7 +21,7 @@ pytestmark = [
 ]
 
 
-def test_part_of_the_plush_capture_without_its_poses(tmp_path: Path) -> None:
+def test_part_of_the_plush_capture_without_its_poses(tmp_path):
     """Every fourth photo. One overlaps so little that global mapping poses it 50 degrees off, on a single point."""
     photos = tmp_path / "photos"
     photos.mkdir()
@@ -38,7 +38,7 @@ def test_part_of_the_plush_capture_without_its_poses(tmp_path: Path) -> None:
     assert turned < 2
 
 
-def test_drone_photos_are_placed_by_their_exif_alone(tmp_path: Path) -> None:
+def test_drone_photos_are_placed_by_their_exif_alone(tmp_path):
     record = capture(DATA / "brighton_beach/images", tmp_path / "capture")
     assert (record["num_registered"], record["unit"], record["up_from"]) == (18, "m", "GPS")
     assert record["gps_residual_m"] < 0.6

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import drsplat as ds
@@ -80,9 +81,9 @@ def langsplat_reader(folder: Path, stem: str, level: int) -> list[tuple[np.ndarr
     maps, rows = np.load(folder / f"{stem}_s.npy"), np.load(folder / f"{stem}_f.npy")
     assert maps.shape[0] == 4
     assert rows.dtype in (np.float16, np.float32)
-    np.testing.assert_allclose(np.linalg.norm(rows.astype(float), axis=1), 1, atol=1e-3)
+    assert_allclose(np.linalg.norm(rows.astype(float), axis=1), 1, atol=1e-3)
     ids = [np.unique(of_level[of_level >= 0]) for of_level in maps]
-    np.testing.assert_array_equal(np.concatenate(ids), np.arange(len(rows)))
+    assert_array_equal(np.concatenate(ids), np.arange(len(rows)))
     return [(maps[level] == row, rows[int(row)]) for row in ids[level]]
 
 
@@ -96,9 +97,9 @@ def test_files_load_in_a_reader_of_the_description_alone(views, tmp_path):
             parts = [i for i in range(len(masks[level])) if masks[level].parts[i].any()]
             assert len(found) == len(parts) > 0
             for i, (mask, row) in zip(parts, found, strict=True):
-                np.testing.assert_array_equal(mask, masks[level].full(i))
+                assert_array_equal(mask, masks[level].full(i))
                 seen = crop(image, masks[level].parts[i], masks[level].boxes[i])
-                np.testing.assert_allclose(row, ThumbnailEncoder().encode_images([seen])[0], 1e-5)
+                assert_allclose(row, ThumbnailEncoder().encode_images([seen])[0], 1e-5)
 
 
 def test_our_reader_reads_what_a_writer_like_langsplat_wrote_and_embed_leaves_it(views, tmp_path):
@@ -115,8 +116,8 @@ def test_our_reader_reads_what_a_writer_like_langsplat_wrote_and_embed_leaves_it
     np.save(folder / "a_s.npy", np.stack(maps).astype(np.float32))
     np.save(folder / "a_f.npy", rows.astype(np.float16))
     features = read_features(folder, "large")["a.png"]
-    np.testing.assert_array_equal(features.file_rows, np.arange(9, 14))
-    np.testing.assert_allclose(features.embeddings, rows[9:], atol=2e-3)
+    assert_array_equal(features.file_rows, np.arange(9, 14))
+    assert_allclose(features.embeddings, rows[9:], atol=2e-3)
     before = times_of(folder)
     with pytest.raises(InputError, match=r"not made here.*pass overwrite.*: a$"):
         embed_quietly(views, folder)

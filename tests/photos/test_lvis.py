@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import drsplat as ds
@@ -45,7 +46,7 @@ def test_runs_and_their_text_are_the_mask(mask):
     counts = runs_of(mask)
     unpacked = unpack_counts(packed(counts), "here")
     assert unpacked.tolist() == counts
-    np.testing.assert_array_equal(decode_runs(unpacked, *mask.shape, "here"), mask)
+    assert_array_equal(decode_runs(unpacked, *mask.shape, "here"), mask)
 
 
 @settings(deadline=None, derandomize=True, max_examples=80)
@@ -108,14 +109,14 @@ def test_polygons_by_a_plain_loop(corners, height, width):
     """Corners on quarters of pixels, centres among them, some outside the image."""
     points = np.array(corners, float).reshape(-1, 2) / 4
     expected = [[inside(points, x + 0.5, y + 0.5) for x in range(width)] for y in range(height)]
-    np.testing.assert_array_equal(fill_polygon(points, height, width), np.array(expected))
+    assert_array_equal(fill_polygon(points, height, width), np.array(expected))
 
 
 def test_a_rectangle_has_its_pixels():
     points = np.array([[2, 1], [5, 1], [5, 3], [2, 3]], float)
-    np.testing.assert_array_equal(np.argwhere(fill_polygon(points, 4, 7))[[0, -1]], [[1, 2], [2, 4]])
+    assert_array_equal(np.argwhere(fill_polygon(points, 4, 7))[[0, -1]], [[1, 2], [2, 4]])
     assert fill_polygon(points, 4, 7).sum() == 6
-    np.testing.assert_array_equal(fill_polygon(points + 0.5, 4, 7), fill_polygon(points, 4, 7))
+    assert_array_equal(fill_polygon(points + 0.5, 4, 7), fill_polygon(points, 4, 7))
 
 
 def test_large_polygons_are_filled_in_pieces(monkeypatch):
@@ -124,7 +125,7 @@ def test_large_polygons_are_filled_in_pieces(monkeypatch):
     points = np.random.default_rng(0).uniform(0, 40, (30, 2))
     whole = fill_polygon(points, 37, 41)
     monkeypatch.setattr(lvis, "_BLOCK_CROSSINGS", 1)
-    np.testing.assert_array_equal(fill_polygon(points, 37, 41), whole)
+    assert_array_equal(fill_polygon(points, 37, 41), whole)
     assert 0 < whole.sum() < whole.size
 
 
@@ -140,7 +141,7 @@ def test_masks_of_pycocotools():
         mask = ndimage.gaussian_filter(rng.normal(size=rng.integers(1, 90, 2)), 3) > 0
         encoded = oracle.encode(np.asfortranarray(mask.astype(np.uint8)))
         counts = unpack_counts(encoded["counts"].decode(), "")
-        np.testing.assert_array_equal(decode_runs(counts, *mask.shape, ""), mask)
+        assert_array_equal(decode_runs(counts, *mask.shape, ""), mask)
         assert packed(counts.tolist()) == encoded["counts"].decode()
         angles = np.sort(rng.uniform(0, 2 * np.pi, 20))
         points = 50 + np.stack([np.cos(angles), np.sin(angles)], 1) * rng.uniform(9, 40)
@@ -160,7 +161,7 @@ def test_what_a_file_holds(tmp_path):
     assert annotations.categories == {1: "cup", 2: "sofa"}
     assert [instance.id for instance in annotations.instances] == list(BOXES)
     for instance in annotations.instances:
-        np.testing.assert_array_equal(annotations.mask(instance), box_mask(*BOXES[instance.id]))
+        assert_array_equal(annotations.mask(instance), box_mask(*BOXES[instance.id]))
         assert (instance.photo, instance.crowd) == (PHOTOS[instance.id], False)
         assert instance.area == box_mask(*BOXES[instance.id]).sum()
 
@@ -171,7 +172,7 @@ def test_polygons_of_one_instance_are_united(tmp_path):
     content["annotations"][0]["segmentation"] = [*two, two[0], [1, 2], []]
     annotations = read_annotations(write_set(tmp_path, content))
     expected = box_mask(*BOXES[1]) | box_mask(*BOXES[4])
-    np.testing.assert_array_equal(annotations.mask(annotations.instances[0]), expected)
+    assert_array_equal(annotations.mask(annotations.instances[0]), expected)
 
 
 def test_outlines_are_not_kept_as_lists(tmp_path):
@@ -267,7 +268,7 @@ def test_patches_are_the_things_on_black(tmp_path):
     for number, patch in zip((1, 2, 3, 4), (patch for squares in made for patch in squares), strict=True):
         x0, y0, x1, y1 = BOXES[number]
         whole = np.ones((y1 - y0, x1 - x0), bool)
-        np.testing.assert_array_equal(patch, crop(pixels_of(PHOTOS[number]), whole, BOXES[number]))
+        assert_array_equal(patch, crop(pixels_of(PHOTOS[number]), whole, BOXES[number]))
         assert patch.shape == (max(whole.shape), max(whole.shape), 3)
 
 
@@ -364,9 +365,9 @@ def test_embedding_goes_on_with_the_next_photo(tmp_path):
     resumed = embed_patches(source, second, tmp_path / "parts")
     expected = embed_patches(source, whole, tmp_path / "other")
     assert (second.asked, whole.asked) == (1, 4)
-    np.testing.assert_array_equal(resumed.embeddings, expected.embeddings)
+    assert_array_equal(resumed.embeddings, expected.embeddings)
     assert resumed.too_small == expected.too_small == 0
-    np.testing.assert_allclose(np.linalg.norm(resumed.embeddings, axis=1), 1, atol=1e-5)
+    assert_allclose(np.linalg.norm(resumed.embeddings, axis=1), 1, atol=1e-5)
 
 
 @pytest.mark.parametrize("changed", ["encoder", "photo", "annotations", "limit", "record"])

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from catalogued import boxes_of, write_scene
@@ -102,7 +103,7 @@ def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
 # --- asking ---
 
 
-def test_the_best_objects_of_all_scenes(filled: Catalogue) -> None:
+def test_the_best_objects_of_all_scenes(filled):
     assert found(filled, "red mug") == [("kitchen", 0)]
     assert found(filled, "mug") == [("kitchen", 0), ("o'hara", 0)]
     assert found(filled, "mug", top=1) == [("kitchen", 0)]
@@ -111,7 +112,7 @@ def test_the_best_objects_of_all_scenes(filled: Catalogue) -> None:
     assert len(filled) == 6
 
 
-def test_exclusions_and_thresholds_mean_what_they_mean_in_a_scene(filled: Catalogue) -> None:
+def test_exclusions_and_thresholds_mean_what_they_mean_in_a_scene(filled):
     assert found(filled, "mug, not red") == [("o'hara", 0)]
     assert found(filled, Query("mug", exclude=("red",))) == [("o'hara", 0)]
     assert found(filled, Query("mug", threshold=0.99)) == []
@@ -123,7 +124,7 @@ def test_exclusions_and_thresholds_mean_what_they_mean_in_a_scene(filled: Catalo
     assert found(filled, Query(vector=vector)) == [("o'hara", 2)]
 
 
-def test_what_means_nothing_across_scenes_is_refused(filled: Catalogue) -> None:
+def test_what_means_nothing_across_scenes_is_refused(filled):
     for query in (Query(point=(0.0, 0.0, 0.0)), Query(click=("a", 1.0, 1.0)), Query("mug", top_share=0.1)):
         with pytest.raises(InputError, match="one scene only"):
             filled.ask(query)
@@ -133,7 +134,7 @@ def test_what_means_nothing_across_scenes_is_refused(filled: Catalogue) -> None:
         filled.ask("mug", top=0)
 
 
-def test_filters(filled: Catalogue) -> None:
+def test_filters(filled):
     assert found(filled, "mug", Conditions(scenes=("o'hara",))) == [("o'hara", 0)]
     assert found(filled, "mug", Conditions(scenes=("nobody",))) == []
     assert found(filled, "mug", Conditions(box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))) == [("kitchen", 0)]
@@ -143,14 +144,14 @@ def test_filters(filled: Catalogue) -> None:
     assert found(filled, "mug", Conditions(area=(-180.0, -90.0, 180.0, 90.0))) == []  # none has a georeference
 
 
-def test_an_answer_says_what_it_is(filled: Catalogue, scenes: Path) -> None:
+def test_an_answer_says_what_it_is(filled, scenes):
     (entry,) = filled.ask("white lamp")
     field = load_field(scenes / "o'hara/a.field")
     assert (entry.scene, entry.tile, entry.object_id, entry.photo) == ("o'hara", 0, 2, entry.photo)
     assert entry.score == pytest.approx(1.0, abs=2e-3)
-    np.testing.assert_allclose(entry.center, np.add(CENTERS[2], (10, 0, 0)), atol=0.02)
+    assert_allclose(entry.center, np.add(CENTERS[2], (10, 0, 0)), atol=0.02)
     assert field.objects is not None
-    np.testing.assert_allclose(entry.extent, field.objects.extents[field.objects.thing(2)], rtol=1e-6)
+    assert_allclose(entry.extent, field.objects.extents[field.objects.thing(2)], rtol=1e-6)
     assert entry.field == field.fingerprint
     masks = {(mask.view_name, mask.mask_id) for mask in support_of(field, field.objects.thing(2))}
     assert (entry.photo, entry.mask) in masks
@@ -160,7 +161,7 @@ def test_an_answer_says_what_it_is(filled: Catalogue, scenes: Path) -> None:
     assert json.loads(json.dumps(entry.json()))["scene"] == "o'hara"
 
 
-def test_exact_answers_are_those_of_all_descriptors(tmp_path: Path) -> None:
+def test_exact_answers_are_those_of_all_descriptors(tmp_path):
     rng, encoder = np.random.default_rng(1), EncoderIdentity("test", 24)
     vectors = unit(rng, 800, 24)
     table.replace_scene(tmp_path / "c", "one", rows_of("one", vectors[:500], encoder), encoder)
@@ -168,7 +169,7 @@ def test_exact_answers_are_those_of_all_descriptors(tmp_path: Path) -> None:
     query = unit(rng, 24)
     stored = np.rint(vectors * (127 / np.abs(vectors).max(axis=1, keepdims=True)))
     stored /= np.linalg.norm(stored, axis=1, keepdims=True)
-    np.testing.assert_allclose(stored @ query, vectors @ query, atol=0.01)
+    assert_allclose(stored @ query, vectors @ query, atol=0.01)
     best = (stored.astype(np.float32).reshape(400, 2, 24) @ query).max(1)
     order = np.argsort(-best)[:20]
     expected = [("one", int(at)) if at < 250 else ("two", int(at) - 250) for at in order]
@@ -178,10 +179,10 @@ def test_exact_answers_are_those_of_all_descriptors(tmp_path: Path) -> None:
     answer = catalogue.answer(Query(vector=query, threshold=-1.0), top=20)
     assert [(entry.scene, entry.object_id) for entry in answer.entries] == expected
     assert answer.exact
-    np.testing.assert_allclose([entry.score for entry in answer.entries], best[order], atol=1e-3)
+    assert_allclose([entry.score for entry in answer.entries], best[order], atol=1e-3)
 
 
-def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path: Path) -> None:
+def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path):
     rng, encoder = np.random.default_rng(2), EncoderIdentity("test", 32)
     centers = unit(rng, 40, 32)
     vectors = unit(rng, 1200, 32) * 0.4 + centers[rng.integers(0, 40, 1200)]
@@ -207,7 +208,7 @@ def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path: Path) -> 
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(text=st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), min_size=1, max_size=40))
-def test_names_are_texts_and_never_conditions(filled: Catalogue, text: str) -> None:
+def test_names_are_texts_and_never_conditions(filled, text):
     name = f"x' OR 1 = 1 OR scene = '{text}"
     assert found(filled, "mug", Conditions(scenes=(text, name))) == []
     with pytest.raises(InputError, match="no object 0"):
@@ -219,19 +220,19 @@ def test_names_are_texts_and_never_conditions(filled: Catalogue, text: str) -> N
 
 @settings(max_examples=25, deadline=None)
 @given(text=st.text("'\"\\ a;-", max_size=12))
-def test_a_quoted_text_is_one_text(text: str) -> None:
+def test_a_quoted_text_is_one_text(text):
     """Read as SQL reads: a quote ends a text unless another follows."""
     assert re.fullmatch("'(?:[^']|'')*'", quoted(text))
     assert quoted(text)[1:-1].replace("''", "'") == text
 
 
 @pytest.mark.parametrize("name", ["", "a" * 201, "a\0b", "\ud800"])
-def test_names_that_are_none(filled: Catalogue, name: str) -> None:
+def test_names_that_are_none(filled, name):
     with pytest.raises(InputError, match="a scene's name"):
         Conditions(scenes=(name,))
 
 
-def test_boxes_and_times_that_are_none() -> None:
+def test_boxes_and_times_that_are_none():
     with pytest.raises(InputError, match="expected a list of names"):
         Conditions("kitchen")
     for wrong in ({"box": (1.0, 0.0, 0.0, 0.0, 1.0, 1.0)}, {"box": (0.0, 0.0, 0.0, 1.0, 1.0, float("nan"))},
@@ -241,7 +242,7 @@ def test_boxes_and_times_that_are_none() -> None:
             Conditions(**wrong)
 
 
-def test_places_on_the_earth(tmp_path: Path) -> None:
+def test_places_on_the_earth(tmp_path):
     folder = write_scene(tmp_path / "roof", WORDS["kitchen"], photos=False)
     here = {"format": "drsplat georeference", "version": 1, "longitude": 13.4, "latitude": 52.5, "height": 80.0,
             "scale": 10.0, "enu_from_world": np.eye(3).tolist()}  # fmt: skip
@@ -251,7 +252,7 @@ def test_places_on_the_earth(tmp_path: Path) -> None:
         catalogue.add(folder)
     (entry,) = catalogue.ask("green plant")  # 3 units, 30 metres, to the east
     assert entry.position is not None
-    np.testing.assert_allclose(entry.position[:2], (13.4 + 30 / 67_900, 52.5), atol=5e-6)
+    assert_allclose(entry.position[:2], (13.4 + 30 / 67_900, 52.5), atol=5e-6)
     assert entry.position.height == pytest.approx(80, abs=0.02)
     east = Conditions(area=(13.4002, 52.4, 13.5, 52.6))
     assert found(catalogue, "green plant", east) == [("roof", 2)]
@@ -264,7 +265,7 @@ def test_places_on_the_earth(tmp_path: Path) -> None:
 # --- adding and removing ---
 
 
-def test_a_scene_that_is_added_again_takes_its_place(scenes: Path, tmp_path: Path) -> None:
+def test_a_scene_that_is_added_again_takes_its_place(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     field = load_field(scenes / "kitchen/a.field")
@@ -282,7 +283,7 @@ def test_a_scene_that_is_added_again_takes_its_place(scenes: Path, tmp_path: Pat
         catalogue.thumbnail("kitchen", 2)
 
 
-def test_all_objects_of_a_scene_in_tiles(tmp_path: Path) -> None:
+def test_all_objects_of_a_scene_in_tiles(tmp_path):
     """Once each, also those across a border, with the tile that has most of them."""
     folder = write_scene(tmp_path / "kitchen", WORDS["kitchen"])
     whole = read_gaussians(folder / "scene.ply")
@@ -302,7 +303,7 @@ def test_all_objects_of_a_scene_in_tiles(tmp_path: Path) -> None:
         assert all(catalogue.thumbnail(one.scene, one.object_id, one.tile) == one.thumbnail for one in entries)
 
 
-def test_removing(scenes: Path, tmp_path: Path) -> None:
+def test_removing(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     for name in WORDS:
         catalogue.add(scenes / name)
@@ -315,7 +316,7 @@ def test_removing(scenes: Path, tmp_path: Path) -> None:
     assert (len(catalogue), catalogue.scenes(), catalogue.ask("mug")) == (0, [], [])
 
 
-def test_stale_scenes_are_told(tmp_path: Path) -> None:
+def test_stale_scenes_are_told(tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     for name, words in WORDS.items():
         catalogue.add(write_scene(tmp_path / name, words))
@@ -326,7 +327,7 @@ def test_stale_scenes_are_told(tmp_path: Path) -> None:
     assert [(one.scene, one.state) for one in catalogue.scenes()] == [("kitchen", "changed"), ("o'hara", "missing")]
 
 
-def test_another_encoder_is_refused(filled: Catalogue) -> None:
+def test_another_encoder_is_refused(filled):
     other = EncoderIdentity("somebody", 512, "abc")
     gaussians = known_scene()
     with pytest.raises(MismatchError, match=r"somebody.*a catalogue has one encoder"):
@@ -334,7 +335,7 @@ def test_another_encoder_is_refused(filled: Catalogue) -> None:
     assert len(filled) == 6
 
 
-def test_a_field_without_objects_says_how_to_find_them(tmp_path: Path) -> None:
+def test_a_field_without_objects_says_how_to_find_them(tmp_path):
     gaussians = known_scene()
     field = boxes_of(WORDS["kitchen"], gaussians).with_objects(None)
     with pytest.raises(InputError, match="drsplat objects FIELD --scene SCENE"):
@@ -342,7 +343,7 @@ def test_a_field_without_objects_says_how_to_find_them(tmp_path: Path) -> None:
     assert not (tmp_path / "c").exists()
 
 
-def test_two_scenes_of_one_name_are_told_apart(scenes: Path, tmp_path: Path) -> None:
+def test_two_scenes_of_one_name_are_told_apart(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     other = write_scene(tmp_path / "kitchen", WORDS["o'hara"], photos=False)
@@ -353,7 +354,7 @@ def test_two_scenes_of_one_name_are_told_apart(scenes: Path, tmp_path: Path) -> 
     assert [one.scene for one in catalogue.scenes()] == ["kitchen", "second"]
 
 
-def test_thumbnails_are_small_whatever_they_show() -> None:
+def test_thumbnails_are_small_whatever_they_show():
     noise = np.random.default_rng(0).integers(0, 256, (900, 1200, 3), np.uint8)
     data = thumbnail(noise)
     assert len(data) <= MAX_BYTES
@@ -364,7 +365,7 @@ def test_thumbnails_are_small_whatever_they_show() -> None:
 
 
 @pytest.mark.slow
-def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path: Path) -> None:
+def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path):
     """Scenes come, are replaced and go; one stays, and each answer has all of it and whole others."""
     rng, encoder, path = np.random.default_rng(3), EncoderIdentity("test", 16), tmp_path / "c"
     own = unit(rng, 16)
@@ -395,7 +396,7 @@ def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path: Path) -> None:
     assert not wrong
 
 
-def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_are_put_together_in_time(tmp_path, monkeypatch):
     rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     vectors = unit(rng, 8, 16)
     for number in range(8):
@@ -417,7 +418,7 @@ def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.Monk
         assert found(Catalogue.open(path), Query(vector=vectors[number], threshold=0.99)) == [(f"s{number}", 0)]
 
 
-def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_waits_while_files_are_put_together(tmp_path, monkeypatch):
     rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     vectors = unit(rng, 8, 16)
     monkeypatch.setattr(table, "MAX_FRAGMENTS", 4)
@@ -439,7 +440,7 @@ def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: 
     assert sorted(one.scene for one in Catalogue.open(path).scenes()) == [f"s{n}" for n in range(8) if n != 3]
 
 
-def test_nobody_waits_while_the_index_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_waits_while_the_index_is_built(tmp_path, monkeypatch):
     rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     vectors = unit(rng, 600, 16)
     for name, own in (("stays", vectors[:500]), ("goes", vectors[500:550])):
@@ -459,9 +460,7 @@ def test_nobody_waits_while_the_index_is_built(tmp_path: Path, monkeypatch: pyte
         assert ([(entry.scene, entry.object_id) for entry in answer.entries], answer.exact) == (expected, False)
 
 
-def test_what_is_usual_stays_while_a_large_table_hardly_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_usual_stays_while_a_large_table_hardly_changes(tmp_path, monkeypatch):
     rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     monkeypatch.setattr("drsplat.query.catalogue.catalogue.LARGE_ROWS", 200)
     catalogue, asked = Catalogue.open(path), []
@@ -476,7 +475,7 @@ def test_what_is_usual_stays_while_a_large_table_hardly_changes(
 
 
 @pytest.mark.slow
-def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
+def test_writers_take_turns(scenes, tmp_path):
     """Two processes add at once, and a thread of this one."""
     code = "import sys; from drsplat.query.catalogue import Catalogue; Catalogue.open(sys.argv[1]).add(sys.argv[2])"
     path = tmp_path / "c"
@@ -501,7 +500,7 @@ class EveryOther(SketchedScene):
         return np.array([self.is_even])
 
 
-def test_no_more_scenes_are_asked_than_answers_are_missing(filled: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_more_scenes_are_asked_than_answers_are_missing(filled, monkeypatch):
     """Every other scene agrees: 10 are asked for 10 answers, then 5 for those that are missing, then at least 4."""
     asked = []
 
@@ -544,7 +543,7 @@ def adding(*argv: object) -> "subprocess.Popen[str]":
 
 
 @pytest.mark.slow
-def test_a_killed_writer_leaves_whole_scenes(scenes: Path, tmp_path: Path) -> None:
+def test_a_killed_writer_leaves_whole_scenes(scenes, tmp_path):
     path = tmp_path / "c"
     for seconds in (0.05, 0.4):
         process = adding(path, scenes / "kitchen")
@@ -558,9 +557,7 @@ def test_a_killed_writer_leaves_whole_scenes(scenes: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("left", ["data/rows.lance", "_transactions/0-one.txn"])
-def test_a_writer_killed_before_its_first_version_leaves_an_empty_catalogue(
-    left: str, scenes: Path, tmp_path: Path
-) -> None:
+def test_a_writer_killed_before_its_first_version_leaves_an_empty_catalogue(left, scenes, tmp_path):
     file = tmp_path / "c" / "objects.lance" / left
     file.parent.mkdir(parents=True)
     file.write_bytes(b"half")
@@ -569,7 +566,7 @@ def test_a_writer_killed_before_its_first_version_leaves_an_empty_catalogue(
     assert [one.num_objects for one in Catalogue.open(tmp_path / "c").scenes()] == [3]
 
 
-def test_a_catalogue_that_lost_its_versions_is_damaged(scenes: Path, tmp_path: Path) -> None:
+def test_a_catalogue_that_lost_its_versions_is_damaged(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     catalogue.add(scenes / "o'hara")
@@ -580,7 +577,7 @@ def test_a_catalogue_that_lost_its_versions_is_damaged(scenes: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_full_disk_changes_nothing(scenes: Path, tmp_path: Path) -> None:
+def test_a_full_disk_changes_nothing(scenes, tmp_path):
     path = tmp_path / "c"
     Catalogue.open(path).add(scenes / "kitchen")
     process = adding(path, scenes / "o'hara", 2000)
@@ -594,7 +591,7 @@ def test_a_full_disk_changes_nothing(scenes: Path, tmp_path: Path) -> None:
 # --- damaged and strange folders ---
 
 
-def test_a_folder_of_something_else(tmp_path: Path) -> None:
+def test_a_folder_of_something_else(tmp_path):
     (tmp_path / "a.txt").write_text("no table")
     with pytest.raises(FormatError, match="expected a catalogue"):
         Catalogue.open(tmp_path)
@@ -605,7 +602,7 @@ def test_a_folder_of_something_else(tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
-def test_without_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_its_extra(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "lancedb", None)
     with pytest.raises(MissingExtraError, match=r"pip install .*\[catalogue\]"):
         Catalogue.open(tmp_path)
@@ -614,7 +611,7 @@ def test_without_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     assert done.stdout == "False\n"
 
 
-def test_a_table_of_somebody_else(tmp_path: Path) -> None:
+def test_a_table_of_somebody_else(tmp_path):
     import lancedb
     import pyarrow as pa
 
@@ -636,7 +633,7 @@ def test_a_table_of_somebody_else(tmp_path: Path) -> None:
         ([], "not of a catalogue"),
     ],
 )
-def test_a_table_that_says_it_is_a_catalogue(tmp_path: Path, document: object, said: str) -> None:
+def test_a_table_that_says_it_is_a_catalogue(tmp_path, document, said):
     import lancedb
     import pyarrow as pa
 
@@ -647,7 +644,7 @@ def test_a_table_that_says_it_is_a_catalogue(tmp_path: Path, document: object, s
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0])
-def test_descriptors_without_a_direction_are_refused(value: float) -> None:
+def test_descriptors_without_a_direction_are_refused(value):
     vectors = unit(np.random.default_rng(0), 4, 8)
     vectors[1] = value
     with pytest.raises(InputError, match="descriptors: expected finite vectors"):
@@ -655,7 +652,7 @@ def test_descriptors_without_a_direction_are_refused(value: float) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["zero", "box", "scene"])
-def test_rows_that_are_no_objects(tmp_path: Path, wrong: str) -> None:
+def test_rows_that_are_no_objects(tmp_path, wrong):
     import pyarrow as pa
 
     encoder = EncoderIdentity("test", 8)
@@ -673,7 +670,7 @@ def test_rows_that_are_no_objects(tmp_path: Path, wrong: str) -> None:
         Catalogue.open(tmp_path / "c").ask(Query(vector=np.ones(8, np.float32), threshold=-1.0))
 
 
-def test_thumbnails_that_are_none(filled: Catalogue) -> None:
+def test_thumbnails_that_are_none(filled):
     (entry,) = filled.ask("red mug")
     assert entry.thumbnail is not None
     for data in (b"", b"<svg onload=alert(1)>", entry.thumbnail[:40], b"\xff\xd8\xff" + bytes(500)):
@@ -681,7 +678,7 @@ def test_thumbnails_that_are_none(filled: Catalogue) -> None:
             replace(entry, thumbnail=data).picture()
 
 
-def test_damaged_files_are_told_or_harm_nothing(filled: Catalogue, tmp_path: Path) -> None:
+def test_damaged_files_are_told_or_harm_nothing(filled, tmp_path):
     """Cut short, with bytes turned, or gone: an answer, or an error that names the catalogue."""
     import shutil
 
@@ -711,9 +708,7 @@ def test_damaged_files_are_told_or_harm_nothing(filled: Catalogue, tmp_path: Pat
 # --- the command line ---
 
 
-def test_the_command_line(
-    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line(scenes, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def said(*argv: str) -> dict[str, Any]:
@@ -768,7 +763,7 @@ def answer_to(catalogue: Catalogue, seed: int = 6) -> list[tuple[str, int, float
     return [(entry.scene, entry.object_id, entry.score) for entry in answer.entries]
 
 
-def test_a_flipped_bit_never_changes_an_answer(tmp_path: Path) -> None:
+def test_a_flipped_bit_never_changes_an_answer(tmp_path):
     catalogue, rng = two_rooms(tmp_path), np.random.default_rng(8)
     expected = answer_to(catalogue)
     for file in sorted(path for path in catalogue.path.rglob("*") if path.is_file()):
@@ -783,7 +778,7 @@ def test_a_flipped_bit_never_changes_an_answer(tmp_path: Path) -> None:
     assert answer_to(catalogue) == expected
 
 
-def test_a_table_without_its_latest_version_is_refused(tmp_path: Path) -> None:
+def test_a_table_without_its_latest_version_is_refused(tmp_path):
     catalogue = two_rooms(tmp_path)
     latest = min((catalogue.path / "objects.lance/_versions").glob("*.manifest"))  # they count down
     latest.unlink()
@@ -793,7 +788,7 @@ def test_a_table_without_its_latest_version_is_refused(tmp_path: Path) -> None:
         catalogue.remove("one")
 
 
-def test_a_missing_file_of_a_large_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_file_of_a_large_table_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(record, "SMALL_BYTES", 0)
     catalogue = two_rooms(tmp_path)
     rows = min((catalogue.path / "objects.lance/data").iterdir())
@@ -826,7 +821,7 @@ Catalogue.open(path).remove("kitchen") if moment == "before the intent" else Cat
 
 
 @pytest.mark.slow
-def test_a_writer_killed_before_its_record(scenes: Path, tmp_path: Path) -> None:
+def test_a_writer_killed_before_its_record(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     for moment, names in (("before the record", ["kitchen", "o'hara"]), ("before the intent", ["kitchen", "o'hara"])):
@@ -857,7 +852,7 @@ Catalogue.open(sys.argv[1]).remove("kitchen")
 
 
 @pytest.mark.slow
-def test_a_killed_removal_that_had_ended_is_given_again(scenes: Path, tmp_path: Path) -> None:
+def test_a_killed_removal_that_had_ended_is_given_again(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     for name in WORDS:
         catalogue.add(scenes / name)
@@ -869,7 +864,7 @@ def test_a_killed_removal_that_had_ended_is_given_again(scenes: Path, tmp_path: 
     assert catalogue.remove("kitchen") == 3
 
 
-def test_files_of_older_versions_may_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_older_versions_may_go(tmp_path, monkeypatch):
     """As putting files together removes them, at the same version of the table or at a newer one."""
     monkeypatch.setattr(table, "OUTDATED", timedelta(milliseconds=1))
     monkeypatch.setattr(table, "MAX_FRAGMENTS", 0)
@@ -888,7 +883,7 @@ def test_files_of_older_versions_may_go(tmp_path: Path, monkeypatch: pytest.Monk
     catalogue.verify()
 
 
-def test_a_catalogue_without_a_record_is_read_and_gets_one(tmp_path: Path) -> None:
+def test_a_catalogue_without_a_record_is_read_and_gets_one(tmp_path):
     catalogue = two_rooms(tmp_path)
     (catalogue.path / record.RECORD).unlink()  # as older versions leave it
     assert (len(catalogue), catalogue.verify()) == (8, [])
@@ -896,7 +891,7 @@ def test_a_catalogue_without_a_record_is_read_and_gets_one(tmp_path: Path) -> No
     assert len(catalogue.verify()) > 4
 
 
-def test_what_is_asked_while_others_write_is_no_damage(tmp_path: Path) -> None:
+def test_what_is_asked_while_others_write_is_no_damage(tmp_path):
     """Whoever asks reads the record of one version and may open the next one."""
     catalogue, path = two_rooms(tmp_path), tmp_path / "c"
     rng, encoder = np.random.default_rng(9), EncoderIdentity("test", 16)
@@ -920,7 +915,7 @@ def test_what_is_asked_while_others_write_is_no_damage(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../../etc/passwd", "/etc/passwd", "a//b", "data/..", 5])
-def test_records_that_are_none(name: Any, tmp_path: Path) -> None:
+def test_records_that_are_none(name, tmp_path):
     catalogue = two_rooms(tmp_path)
     path = catalogue.path / record.RECORD
     document = json.loads(path.read_text())

@@ -9,6 +9,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import EncoderIdentity, Query
 from drsplat.errors import FormatError
@@ -74,7 +75,7 @@ def uncoded(catalogue: Catalogue) -> int:
     return len(read.without)
 
 
-def test_codes_find_what_comparing_all_finds(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_codes_find_what_comparing_all_finds(coded):
     catalogue, vectors, words = coded
     snapshot = catalogue._snapshot()
     read = codes.CodeReader(catalogue.path).of(snapshot)
@@ -85,25 +86,25 @@ def test_codes_find_what_comparing_all_finds(coded: tuple[Catalogue, np.ndarray,
             ids = [nearest_rows.rows["_rowid"].to_pylist() for nearest_rows in (found, exact)]
             assert (found.is_exact, exact.is_exact, len(ids[0])) == (False, True, 256)
             best = found.described.cosines(query)
-            np.testing.assert_array_equal(best, np.sort(best)[::-1])
-            np.testing.assert_allclose(best[:10], np.sort(exact.described.cosines(query))[:-11:-1], atol=1e-6)
+            assert_array_equal(best, np.sort(best)[::-1])
+            assert_allclose(best[:10], np.sort(exact.described.cosines(query))[:-11:-1], atol=1e-6)
             shares.append(len(set(ids[0]) & set(ids[1])) / 256)
         assert np.mean(shares) > 0.9
     assert answer(catalogue, words[0]) == answer(catalogue, words[0], exact=True)
 
 
-def test_of_larger_tables_more_candidates_are_compared() -> None:
+def test_of_larger_tables_more_candidates_are_compared():
     assert [codes.refine_factor(rows) for rows in (0, 300_000, 750_000, 3_000_000, 30_000_000)] == [4, 4, 4, 8, 25]
 
 
-def test_the_same_answer_with_any_number_of_threads(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_the_same_answer_with_any_number_of_threads(coded):
     catalogue, _, words = coded
     expected = answer(catalogue, words[1])
     for threads in (1, 2, 3):
         assert answer(Catalogue.open(catalogue.path, threads=threads), words[1]) == expected
 
 
-def test_what_is_removed_or_replaced_is_never_answered(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_what_is_removed_or_replaced_is_never_answered(coded):
     catalogue, vectors, words = coded
     query = vectors[2 * OBJECTS * 2]  # the first object of s2
     assert answer(catalogue, query)[0][:2] == ("s2", 0)  # type: ignore[index]
@@ -117,7 +118,7 @@ def test_what_is_removed_or_replaced_is_never_answered(coded: tuple[Catalogue, n
         assert answer(catalogue, vector) == answer(catalogue, vector, exact=True)
 
 
-def test_codes_of_many_deleted_rows_are_passed_over(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_codes_of_many_deleted_rows_are_passed_over(coded):
     """All that are nearest are gone: those after them are found."""
     catalogue, _, words = coded
     opened = current(catalogue.path)
@@ -132,7 +133,7 @@ def test_codes_of_many_deleted_rows_are_passed_over(coded: tuple[Catalogue, np.n
         assert set(found["_rowid"].to_pylist()) == set(exact["_rowid"].to_pylist())
 
 
-def test_conditions(coded: tuple[Catalogue, np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_conditions(coded, monkeypatch):
     catalogue, vectors, words = coded
     monkeypatch.setattr(codes, "FEW_ROWS", 0)  # by codes too
     for where in (
@@ -147,9 +148,7 @@ def test_conditions(coded: tuple[Catalogue, np.ndarray, np.ndarray], monkeypatch
     assert answer(catalogue, words[0], Conditions(scenes=("nobody",))) == []
 
 
-def test_files_that_were_put_together_are_coded(
-    coded: tuple[Catalogue, np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_were_put_together_are_coded(coded, monkeypatch):
     catalogue, _, words = coded
     encoded: list[object] = []
     monkeypatch.setattr(table, "_is_scattered", lambda _: True)
@@ -166,7 +165,7 @@ def test_files_that_were_put_together_are_coded(
     assert any(name.startswith("codes/") for name in catalogue.verify())
 
 
-def test_an_index_puts_files_together(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_an_index_puts_files_together(coded):
     catalogue, _, words = coded
     expected = [answer(catalogue, word) for word in words[:3]]
     assert catalogue.build_index() == 4 * OBJECTS
@@ -200,9 +199,7 @@ Catalogue.open(sys.argv[1]).build_index()
         ("write_tensors", 2),
     ],
 )
-def test_a_kill_while_codes_are_written_leaves_the_old_ones(
-    coded: tuple[Catalogue, np.ndarray, np.ndarray], name: str, at: int
-) -> None:
+def test_a_kill_while_codes_are_written_leaves_the_old_ones(coded, name, at):
     catalogue, _, words = coded
     catalogue.remove("s0")  # so that the next codebook is another one
     expected = [answer(catalogue, word) for word in words[:3]]
@@ -217,7 +214,7 @@ def test_a_kill_while_codes_are_written_leaves_the_old_ones(
 
 
 @pytest.mark.slow
-def test_damaged_codes_are_told_and_written_anew(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_damaged_codes_are_told_and_written_anew(coded):
     catalogue, _, words = coded
     expected, rng = answer(catalogue, words[0]), np.random.default_rng(1)
     for number in range(5):
@@ -240,7 +237,7 @@ def test_damaged_codes_are_told_and_written_anew(coded: tuple[Catalogue, np.ndar
         assert answer(Catalogue.open(catalogue.path), words[0]) == expected
 
 
-def test_codes_of_another_codebook_or_other_rows_are_refused(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_codes_of_another_codebook_or_other_rows_are_refused(coded):
     catalogue, _, words = coded
     first, second = sorted((catalogue.path / "codes").glob("*/*"))[:2]
     tensors, about = map_tensors(second)
@@ -255,7 +252,7 @@ def test_codes_of_another_codebook_or_other_rows_are_refused(coded: tuple[Catalo
         answer(Catalogue.open(catalogue.path), words[0])
 
 
-def test_rows_without_codes_are_compared_until_they_have_some(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_rows_without_codes_are_compared_until_they_have_some(coded):
     catalogue, _, words = coded
     expected = answer(catalogue, words[4])
     for file in sorted((catalogue.path / "codes").glob("*/*"))[:2]:
@@ -270,9 +267,7 @@ def test_rows_without_codes_are_compared_until_they_have_some(coded: tuple[Catal
     assert catalogue.answer(Query(vector=words[4], threshold=-1.0)).exact
 
 
-def test_a_version_never_uses_codes_of_a_later_one(
-    coded: tuple[Catalogue, np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_version_never_uses_codes_of_a_later_one(coded, monkeypatch):
     """Codes that are written late lack rows that were deleted meanwhile, and that an older version still has."""
     catalogue, _, words = coded
     monkeypatch.setattr(table, "_write_codes", lambda *_: None)
@@ -305,7 +300,7 @@ while True:
 
 
 @pytest.mark.slow
-def test_another_process_sees_every_change_whole(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_another_process_sees_every_change_whole(coded):
     catalogue, _, words = coded
     vector = -words[0]
     np.save(catalogue.path.parent / "v.npy", vector)
@@ -328,7 +323,7 @@ def test_another_process_sees_every_change_whole(coded: tuple[Catalogue, np.ndar
 # --- manifests ---
 
 
-def test_fragments_are_those_of_the_row_ids(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+def test_fragments_are_those_of_the_row_ids(coded):
     snapshot = coded[0]._snapshot()
     ids = np.sort(
         np.array(snapshot.table.search().with_row_id(True).select(["scene"]).to_arrow()["_rowid"].to_pylist())
@@ -337,12 +332,12 @@ def test_fragments_are_those_of_the_row_ids(coded: tuple[Catalogue, np.ndarray, 
     assert fragments is not None
     assert [one.num_rows for one in fragments] == [OBJECTS + 1] * 4
     expected = np.concatenate([one.first + np.arange(one.num_rows) for one in fragments])
-    np.testing.assert_array_equal(ids, expected)
+    assert_array_equal(ids, expected)
     names = {file.name for file in (snapshot.path / "objects.lance/data").iterdir()}
     assert {one.data for one in fragments} == names
 
 
-def test_damaged_manifests_are_told_or_read(coded: tuple[Catalogue, np.ndarray, np.ndarray], tmp_path: Path) -> None:
+def test_damaged_manifests_are_told_or_read(coded, tmp_path):
     snapshot, rng = coded[0]._snapshot(), np.random.default_rng(3)
     manifest = manifest_of(snapshot.path / "objects.lance", snapshot.version)
     assert manifest is not None

@@ -81,16 +81,14 @@ def room() -> tuple[Gaussians, dict[str, Match]]:
         ("between", ("chair beside", "chair far away"), set()),
     ],
 )
-def test_relations(
-    relation: str, to: tuple[str, ...], expected: set[str], room: tuple[Gaussians, dict[str, Match]]
-) -> None:
+def test_relations(relation, to, expected, room):
     gaussians, matches = room
     found = related(gaussians, relation, list(matches.values()), *(matches[name] for name in to), up=UP)
     assert {name for name, match in matches.items() if match in found} == expected
 
 
 @pytest.mark.parametrize("relation", RELATIONS)
-def test_up_may_be_any_direction(relation: str, room: tuple[Gaussians, dict[str, Match]]) -> None:
+def test_up_may_be_any_direction(relation, room):
     """The room, turned: nothing else changes."""
     gaussians, matches = room
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
@@ -110,7 +108,7 @@ def test_up_may_be_any_direction(relation: str, room: tuple[Gaussians, dict[str,
         assert [one.object_id for one in found] == [one.object_id for one in expected]
 
 
-def test_what_shares_its_gaussians_is_itself(room: tuple[Gaussians, dict[str, Match]]) -> None:
+def test_what_shares_its_gaussians_is_itself(room):
     """Words find the table with what stands on it."""
     gaussians, matches = room
     ids = np.concatenate([matches["table"].gaussian_ids, matches["mug"].gaussian_ids])
@@ -119,7 +117,7 @@ def test_what_shares_its_gaussians_is_itself(room: tuple[Gaussians, dict[str, Ma
     assert not {matches["table"].object_id, matches["mug"].object_id} & {one.object_id for one in found}
 
 
-def test_what_cannot_be_told(room: tuple[Gaussians, dict[str, Match]]) -> None:
+def test_what_cannot_be_told(room):
     gaussians, matches = room
     every = list(matches.values())
     with pytest.raises(InputError, match="which way is up"):

@@ -22,7 +22,7 @@ def relevancy_of(scene: Scene, text: str) -> Answer:
     return scene.ask(Query(text, relevancy=True))
 
 
-def test_an_answer_is_the_fields_own_scores_and_relevancy() -> None:
+def test_an_answer_is_the_fields_own_scores_and_relevancy():
     field, encoder = toy_field(), ToyEncoder()
     answer = relevancy_of(Scene(field, encoder=encoder), "a red apple")
     vector = embed_query(encoder, field, "a red apple")
@@ -33,11 +33,11 @@ def test_an_answer_is_the_fields_own_scores_and_relevancy() -> None:
     assert answer.values.min() < 0.5 < answer.values.max()
 
 
-def test_the_negatives_are_those_of_lerf() -> None:
+def test_the_negatives_are_those_of_lerf():
     assert NEGATIVES == ("object", "things", "stuff", "texture")
 
 
-def test_negatives_are_embedded_once() -> None:
+def test_negatives_are_embedded_once():
     encoder = ToyEncoder()
     plain = toy_field()
     field = plain.with_negatives(encoder.encode_texts(NEGATIVES), NEGATIVES)
@@ -50,7 +50,7 @@ def test_negatives_are_embedded_once() -> None:
     assert text_negatives(field, encoder) is field.negatives
 
 
-def test_another_encoder_and_no_negatives_are_refused() -> None:
+def test_another_encoder_and_no_negatives_are_refused():
     field, other = toy_field(), ToyEncoder(EncoderIdentity("other", 32))
     with pytest.raises(MismatchError, match="written with toy"):
         embed_query(other, field, "sofa")
@@ -60,7 +60,7 @@ def test_another_encoder_and_no_negatives_are_refused() -> None:
         Scene(field, encoder=ToyEncoder()).ask(Query("sofa", negatives=()))
 
 
-def test_query_vectors_are_float32_of_the_fields_dimension() -> None:
+def test_query_vectors_are_float32_of_the_fields_dimension():
     vector = embed_query(ToyEncoder(), toy_field(), "sofa")
     assert (vector.shape, vector.dtype) == ((32,), np.float32)
 
@@ -79,12 +79,12 @@ def test_query_vectors_are_float32_of_the_fields_dimension() -> None:
         ("knotted rope, nothing else", "knotted rope, nothing else", ()),
     ],
 )
-def test_a_text_says_what_is_not_meant(text: str, wanted: str, unwanted: tuple[str, ...]) -> None:
+def test_a_text_says_what_is_not_meant(text, wanted, unwanted):
     assert split_negation(text) == (wanted, unwanted)
 
 
 @pytest.mark.parametrize("text", [", not red", "mug, not ", "mug, not red, not "])
-def test_a_negation_of_nothing_is_refused(text: str) -> None:
+def test_a_negation_of_nothing_is_refused(text):
     with pytest.raises(InputError, match="mug, not red"):
         split_negation(text)
 
@@ -94,9 +94,7 @@ WORDS = ("red", "blue", "mug", "plate", "wooden", "old")
 
 @settings(derandomize=True, deadline=None, max_examples=60)
 @given(st.sets(st.sampled_from(WORDS)), st.sampled_from(WORDS[:2]), st.sets(st.sampled_from(WORDS[2:]), min_size=1))
-def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(
-    more: set[str], unwanted: str, wanted: set[str]
-) -> None:
+def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(more, unwanted, wanted):
     """With texts as sums of words: s(n p) > s(p) where n is among a thing's words, as sqrt(p + 1) > sqrt(p)."""
     encoder, said_of_it = WordEncoder(), wanted | more
     query = " ".join(sorted(wanted))
@@ -107,12 +105,12 @@ def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(
     assert left_out == (unwanted in said_of_it)
 
 
-def test_without_keeps_what_fits_better_than_every_rival() -> None:
+def test_without_keeps_what_fits_better_than_every_rival():
     scores, rivals = np.array([0.3, 0.3, 0.3], np.float32), np.array([0.2, 0.3, 0.4], np.float32)
     assert_array_equal(without(scores, rivals), np.array([0.3, -1, -1], np.float32))
 
 
-def test_queries_leave_out_what_is_not_meant() -> None:
+def test_queries_leave_out_what_is_not_meant():
     field, encoder = toy_field(), ToyEncoder()
     scene = Scene(field, encoder=encoder)
     plain, answer = scene.ask("apple"), scene.ask("apple, not red, not old")
@@ -133,7 +131,7 @@ def clicked(story: Story) -> tuple[LanguageField, Gaussians, View]:
     return story.field, story.gaussians, story.views[4]
 
 
-def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(clicked):
     field, gaussians, view = clicked
     top = topk_contributions(splat_arrays(gaussians), view, 1)
     rng, seen = np.random.default_rng(0), 0
@@ -148,7 +146,7 @@ def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(clicked: tuple[La
     assert seen > 5
 
 
-def test_a_click_passes_over_gaussians_without_feature(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+def test_a_click_passes_over_gaussians_without_feature(clicked):
     field, gaussians, view = clicked
     top = topk_contributions(splat_arrays(gaussians), view, 2)
     row, column = np.argwhere((top.ids >= 0).all(-1) & np.isin(top.ids, field.gaussian_ids).all(-1))[0]
@@ -166,7 +164,7 @@ def test_a_click_passes_over_gaussians_without_feature(clicked: tuple[LanguageFi
     assert_array_equal(feature, fewer.feature(np.array([at]))[0])
 
 
-def test_clicks_at_nothing_and_outside_are_refused(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+def test_clicks_at_nothing_and_outside_are_refused(clicked):
     field, gaussians, view = clicked
     for xy in ((-0.1, 5.0), (320.0, 5.0), (5.0, 240.0)):
         with pytest.raises(InputError, match="outside of view"):
@@ -179,7 +177,7 @@ def test_clicks_at_nothing_and_outside_are_refused(clicked: tuple[LanguageField,
         feature_at(field, gaussians.subset(np.arange(10)), view, (5.0, 5.0))
 
 
-def test_weights_at_pixels_are_those_of_the_kernel(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+def test_weights_at_pixels_are_those_of_the_kernel(clicked):
     field, gaussians, view = clicked
     scene = Scene(field, gaussians, [view])
     whole = topk_contributions(splat_arrays(gaussians), view, 5)

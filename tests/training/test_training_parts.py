@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from scipy import integrate
 
@@ -193,7 +194,7 @@ def test_the_penalty_is_the_slope_of_the_mean_opacity(weight):
         return weight * (1 / (1 + np.exp(-values))).mean()
 
     numeric = [(penalty(logits + step * row) - penalty(logits - step * row)) / (2 * step) for row in np.eye(9)]
-    np.testing.assert_allclose(slopes.logits, numeric, atol=1e-6)
+    assert_allclose(slopes.logits, numeric, atol=1e-6)
     assert not any(getattr(slopes, name).any() for name in ("means", "log_scales", "quats", "sh"))
 
 
@@ -217,10 +218,10 @@ def test_limited_colors_are_from_black_to_white_and_nothing_else_changes():
     colors = 0.5 + SH_C0 * before[4][:, 0].astype(np.float64)
     assert not ((colors > 0) & (colors < 1)).all()
     after = 0.5 + SH_C0 * optimizer.parameters.sh[:, 0].astype(np.float64)
-    np.testing.assert_allclose(after, np.clip(colors, 0, 1), atol=1e-7)
-    np.testing.assert_array_equal(optimizer.parameters.sh[:, 1:], before[4][:, 1:])
+    assert_allclose(after, np.clip(colors, 0, 1), atol=1e-7)
+    assert_array_equal(optimizer.parameters.sh[:, 1:], before[4][:, 1:])
     for array, unchanged in zip(optimizer.parameters[:4], before[:4], strict=True):
-        np.testing.assert_array_equal(array, unchanged)
+        assert_array_equal(array, unchanged)
 
 
 def test_harmonics_come_every_thousand_iterations():

@@ -43,7 +43,7 @@ def median_off(surface: cKDTree, positions: np.ndarray) -> float:
     return float(np.median(surface.query(positions)[0]))
 
 
-def test_what_masks_leave_out_has_no_keypoints(views: list[ds.View], tmp_path: Path) -> None:
+def test_what_masks_leave_out_has_no_keypoints(views, tmp_path):
     mask = np.zeros((views[0].height, views[0].width), np.uint8)
     mask[:, views[0].width // 2 :] = 255
     Image.fromarray(mask).save(tmp_path / "mask.png")
