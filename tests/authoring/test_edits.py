@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -86,7 +86,6 @@ def test_without_edits_it_is_the_scene_itself(scene):
     assert edited(scene, ()) is scene
 
 
-@settings(deadline=None, max_examples=60)
 @given(some_rows, changes, changes)
 def test_an_edit_and_its_undo_give_the_same_bits(rows, first, second):
     scene = a_scene()
@@ -98,7 +97,6 @@ def test_an_edit_and_its_undo_give_the_same_bits(rows, first, second):
     assert same(a_scene(), scene)  # which no edit has written into
 
 
-@settings(deadline=None, max_examples=60)
 @given(some_rows, changes)
 def test_other_rows_keep_their_bits_and_their_order(rows, change):
     scene = a_scene()
@@ -109,7 +107,6 @@ def test_other_rows_keep_their_bits_and_their_order(rows, change):
     assert same(done.subset(at), scene.subset(others))
 
 
-@settings(deadline=None)
 @given(some_rows)
 def test_isolate_and_remove_part_the_scene(rows):
     scene = a_scene()
@@ -121,7 +118,6 @@ def test_isolate_and_remove_part_the_scene(rows):
 
 
 @pytest.mark.slow
-@settings(deadline=None)
 @given(some_rows, vectors, st.floats(-180, 180), st.floats(0.2, 5))
 def test_there_and_back_again(rows, by, degrees, factor):
     scene, about, back = a_scene(), (0.5, -0.2, 0.1), tuple(-x for x in by)
@@ -144,7 +140,6 @@ def test_a_turned_scene_is_seen_as_from_the_other_side(scene):
     assert np.abs(render(scene, there).rgb - render(scene, here).rgb).mean() > 0.01  # so this could fail
 
 
-@settings(deadline=None)
 @given(some_rows, colors, colors)
 def test_restyling_keeps_opacity_and_geometry(rows, one, other):
     scene = a_scene()

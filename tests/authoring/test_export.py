@@ -203,7 +203,6 @@ def test_inspect_shows_the_names(room, capsys):
 def test_embeddings_go_along_when_asked(room, capsys):
     assert "embedding" not in exported(room, capsys).table(0)
     objects = opened(room).field.objects
-    assert objects is not None
     rows = exported(room, capsys, "--embeddings").table(0)["embedding"]
     for row, node in zip(rows, objects.things.tolist(), strict=True):
         assert_array_equal(row, objects.descriptors_of(node)[0])
@@ -280,7 +279,6 @@ def test_groups_that_a_part_is_in_stay_with_it():
     part = only_used(LabelledScene(gaussians, "s", things, groups, np.array([0, -1], np.int32)))
     assert [(one.name, one.parent, one.number) for one in part.things] == [("a", 1, 0)]
     assert [(one.name, one.parent) for one in part.groups] == [("g1", -1), ("g2", 0)]
-    assert part.object_of is not None
     assert part.object_of.tolist() == [0, -1]
 
 

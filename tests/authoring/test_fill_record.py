@@ -82,7 +82,6 @@ def test_a_record_is_short(file):
     scene, block, _, _ = a_thing_in_a_hole()
     change = kept(scene, block, file).edits[1].change
     assert isinstance(change, Fill)
-    assert change.record is not None
     rows = sum(map(len, change.record.clones)) + int(np.diff(change.record.removed).sum())
     text = json.dumps(json.loads(file.path.read_text())["edits"][1]["record"], separators=(",", ":"))
     assert rows > 50

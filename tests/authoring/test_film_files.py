@@ -57,7 +57,7 @@ def test_a_film_without_ffmpeg(suffix, tmp_path, monkeypatch):
     path = tmp_path / f"film{suffix}"
     write_film(path, pictures(), 12.0)
     with Image.open(path) as film:
-        assert (film.n_frames, film.size, film.info["loop"]) == (6, (WIDTH, HEIGHT), 0)  # type: ignore[attr-defined]
+        assert (film.n_frames, film.size, film.info["loop"]) == (6, (WIDTH, HEIGHT), 0)
         lasts = 0
         for number, color in enumerate(COLORS):
             film.seek(number)
@@ -196,7 +196,6 @@ def test_killed_or_interrupted_it_leaves_no_film(suffix, how, tmp_path):
     running = subprocess.Popen(
         [sys.executable, "-c", ENDLESS, str(path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
-    assert running.stdout is not None
     assert running.stdout.readline() == b"going\n"
     running.send_signal(how)
     try:

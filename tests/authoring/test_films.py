@@ -310,7 +310,7 @@ def called(room: Path, *more: object) -> list[object]:
 def film_of(path: str) -> list[np.ndarray]:
     pictures = []
     with Image.open(path) as film:
-        for number in range(film.n_frames):  # type: ignore[attr-defined]
+        for number in range(film.n_frames):
             film.seek(number)
             pictures.append(np.asarray(film.convert("RGB")))
     return pictures

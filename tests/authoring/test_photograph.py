@@ -71,7 +71,7 @@ def room() -> Gaussians:
 
 
 def thing(count: int = 200, **more: object) -> Gaussians:
-    return replace(random_gaussians(count, extent=0.4, size=0.08), **more)  # type: ignore[arg-type]
+    return replace(random_gaussians(count, extent=0.4, size=0.08), **more)
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -106,7 +106,6 @@ def test_points_are_centres_of_gaussians_with_their_colours(tmp_path):
     scene = room()
     photograph(scene, tmp_path / "capture", SMALL)
     points = read_sparse_points(tmp_path / "capture")
-    assert points is not None
     assert_array_equal(points.positions, scene.positions)
     expected = np.clip(0.5 + 0.28209479177387814 * scene.sh[:, 0], 0, 1)
     assert_allclose(points.colors / 255, expected, atol=0.51 / 255)
@@ -310,7 +309,7 @@ def test_a_run_that_is_stopped_leaves_what_was_there(overwrite, tmp_path, monkey
     def stopping(path: Path, *rest: object) -> None:
         if path.name == "view_0004.png":
             raise KeyboardInterrupt
-        write(path, *rest)  # type: ignore[arg-type]
+        write(path, *rest)
 
     monkeypatch.setattr(taking, "write_picture", stopping)
     with pytest.raises(KeyboardInterrupt):
@@ -334,7 +333,7 @@ def test_a_run_that_is_stopped_leaves_what_was_there(overwrite, tmp_path, monkey
 )
 def test_settings_that_cannot_be_are_refused(wish, message):
     with pytest.raises(InputError, match=message):
-        PhotographSettings(**wish)  # type: ignore[arg-type]
+        PhotographSettings(**wish)
 
 
 def test_scenes_that_cannot_be_photographed_are_refused(tmp_path):
@@ -417,7 +416,6 @@ def test_a_moving_scene_is_photographed_at_a_time_that_its_views_keep(tmp_path, 
     views = read_views(tmp_path / "capture")
     assert [view.time for view in views] == [0.5] * 3
     made = register(still(room()), views, features_of(views))
-    assert made.masks.times is not None
     assert set(made.masks.times.tolist()) == {0.5}
 
 
@@ -513,7 +511,6 @@ def test_the_report_of_an_evaluation_says_that_a_field_is_of_renderings(tmp_path
 def test_the_record_says_of_which_scene_by_what(tmp_path):
     photograph(thing(), tmp_path / "a", SMALL, name="thing.spz")
     record = read_rendering_record(tmp_path / "a")
-    assert record is not None
     scene, settings = record["scene"], record["settings"]
     assert isinstance(scene, dict)
     assert isinstance(settings, dict)

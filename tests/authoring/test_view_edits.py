@@ -44,7 +44,6 @@ def test_what_is_moved_is_drawn_and_met_where_it_is_now(session):
     assert_array_equal(session.drawn.centers[EACH : 2 * EACH], before.centers[EACH : 2 * EACH])
     eye = session.shown.frame.shown(np.array([-1.0, -4, 5]))
     hit = session.click(eye, np.array([0.0, 1, 0]))
-    assert hit is not None
     assert hit.point[2] > 4
     session.edits.undo()
     assert session.drawn is before
@@ -67,7 +66,7 @@ def test_copies_are_drawn_painted_and_saved(session, tmp_path):
     count = len(session.scene.gaussians)
     session.edit(Duplicate((0.5, 0.0, 0.5)))
     added = session.edits.listed.edits[0].target
-    assert len(session.drawn) == count + len(added)  # type: ignore[arg-type]
+    assert len(session.drawn) == count + len(added)
     assert session.drawn_colors.shape == (len(session.drawn), 3)
     session.mode = Mode.ANSWER
     assert session.colors.shape == (count, 3)
@@ -137,7 +136,6 @@ def test_annotations_are_kept(room, session):
 
 def header_of(page: Path) -> dict[str, Any]:
     found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
-    assert found is not None
     header: dict[str, Any] = json.loads(found[1])
     return header
 

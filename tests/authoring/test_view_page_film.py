@@ -35,7 +35,6 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def header_of(page: Path) -> dict[str, Any]:
     found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"))
-    assert found is not None
     header: dict[str, Any] = json.loads(found[1])
     return header
 
@@ -136,7 +135,7 @@ def test_keys_ask_turn_and_help(exported, chromium):
     with device(chromium, exported, DESK) as page:
         for key, text in (("2", "tall lamp"), ("1", "red mug")):
             page.keyboard.press(key)
-            eventually(lambda text=text: page.evaluate("() => drsplat.state.results[0].text") == text)  # type: ignore[misc]
+            eventually(lambda text=text: page.evaluate("() => drsplat.state.results[0].text") == text)
         page.keyboard.press("c")
         eventually(lambda: page.evaluate("() => drsplat.state.mode") == "heat map")
         settled(page)

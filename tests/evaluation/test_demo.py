@@ -94,7 +94,6 @@ def test_held_out_photos_were_not_registered(household_story, household_folder):
     assert held_out == set(read_household(household_folder).held_out)
     assert len(held_out) == 6
     evidence = household_story.field.evidence
-    assert evidence is not None
     assert not held_out & set(evidence.masks.view_names)
     assert len(household_story.views) + len(held_out) == len(read_views(household_folder))
     masked = set(read_features(household_folder / "language_features"))

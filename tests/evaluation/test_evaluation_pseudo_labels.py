@@ -14,7 +14,7 @@ from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 from twins import evaluation as reference
 
-few = settings(derandomize=True, deadline=None, max_examples=25)
+few = settings(derandomize=True, max_examples=25)
 
 
 def random_points(count: int, num_labels: int, seed: int = 0, extent: float = 2.0) -> LabelledPoints:

@@ -165,15 +165,15 @@ def test_scatter_puts_points_where_they_are():
     chart = report.scatter([(0.1, 0.2, "a & b"), (0.4, 0.4, "c")], "x", "y", "title", "note")
     root = ElementTree.fromstring(chart)
     circles = root.findall("{http://www.w3.org/2000/svg}circle")
-    (ax, ay), (cx, cy) = ((float(c.get("cx")), float(c.get("cy"))) for c in circles)  # type: ignore[arg-type]
+    (ax, ay), (cx, cy) = ((float(c.get("cx")), float(c.get("cy"))) for c in circles)
     assert cx - report.MARGIN == pytest.approx(4 * (ax - report.MARGIN), abs=0.2)
     assert report.HEIGHT - report.MARGIN - cy == pytest.approx(2 * (report.HEIGHT - report.MARGIN - ay), abs=0.2)
-    assert "a & b" in circles[0][0].text  # type: ignore[operator]
+    assert "a & b" in circles[0][0].text
 
 
 def test_bars_are_as_long_as_their_values():
     root = ElementTree.fromstring(report.bars([("PQ 32", 1.0), ("cosine", 14.0)], "ms", "search"))
-    lengths = [float(r.get("width")) for r in root.findall("{http://www.w3.org/2000/svg}rect")]  # type: ignore[arg-type]
+    lengths = [float(r.get("width")) for r in root.findall("{http://www.w3.org/2000/svg}rect")]
     assert lengths[1] == pytest.approx(14 * lengths[0], rel=0.01)
 
 

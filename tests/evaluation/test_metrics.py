@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from drsplat.evaluation import scorers
 
-few = settings(derandomize=True, deadline=None, max_examples=50)
+few = settings(derandomize=True, max_examples=50)
 TRUTH = np.array([1, 1, 1, 2, 2, 3, 0, 0])
 PREDICTED = np.array([1, 1, 2, 2, 2, 1, 3, 0])
 

@@ -23,7 +23,7 @@ from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 from twins import evaluation as reference
 
-few = settings(derandomize=True, deadline=None, max_examples=25)
+few = settings(derandomize=True, max_examples=25)
 LABELS = LabelSet("mine", (1, 2, 7), ("wall", "floor", "table"), ("wall", "floor", "table"))
 NYU40 = np.array([40, 1, 2, 7], np.uint16)  # class 0 to 3
 COUNT = 400

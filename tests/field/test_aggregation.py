@@ -21,7 +21,7 @@ from drsplat.field.evidence.aggregation.voting import effective_views, reliabili
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from fields import random_weights, unit_rows
 
-few = settings(derandomize=True, deadline=None, max_examples=25)
+few = settings(derandomize=True, max_examples=25)
 seeds = st.integers(0, 2**32)
 WEIGHERS = [a for a in MEASURED.values() if a.voting is None]
 every_weigher = pytest.mark.parametrize("how", WEIGHERS, ids=lambda a: a.name)

@@ -71,7 +71,6 @@ def test_the_command_takes_an_aggregator_by_name(story, demo_folder, tmp_path, c
     assert (answer["aggregator"], answer["topk"]) == ("robust", 20)
     made = load_field(output).aggregator
     assert made.name == "robust"
-    assert made.sampling is not None
     assert made.sampling.topk == 20
     assert "robust" in text_of(capsys, "inspect", output)
 

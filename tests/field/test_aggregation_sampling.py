@@ -16,7 +16,7 @@ from drsplat.formats.checksums import sealed
 from fields import toy_field
 from scenes import random_gaussians
 
-few = settings(derandomize=True, deadline=None, max_examples=8)
+few = settings(derandomize=True, max_examples=8)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 
 VOTING = Aggregator("voting", voting=ModeVoting())
-few = settings(derandomize=True, deadline=None, max_examples=15)
+few = settings(derandomize=True, max_examples=15)
 
 
 def slow_donors(voting: ModeVoting, evidence: Evidence, gaussians: Gaussians, receivers: np.ndarray) -> np.ndarray:
@@ -99,7 +99,6 @@ def test_where_neighbours_agree_nobody_changes():
 def test_a_few_that_stand_alone_take_over_a_whole_feature():
     evidence, gaussians = two_groups(flipped=3)
     voted = VOTING(evidence, gaussians)
-    assert voted.donors is not None
     assert (voted.donors[:3] >= 3).all()
     assert (voted.donors[:3] < 40).all()
     assert_array_equal(voted.features(0, 80), np.eye(8, dtype=np.float32)[np.repeat([0, 1], 40)])
@@ -159,7 +158,6 @@ def test_a_field_of_donors_keeps_everyones_own_evidence():
     voted = aggregator("robust")(evidence, gaussians)
     encoder = EncoderIdentity("e", 8)
     field = build_field(evidence, gaussians.fingerprint, encoder, aggregated=voted)
-    assert field.evidence is not None
     assert np.shares_memory(field.evidence.weights.data, evidence.weights.data)
     scores = field.scores(np.eye(8, dtype=np.float32)[0])
     assert_allclose(scores, np.repeat([1, 0], 40), atol=1e-3)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -65,11 +65,7 @@ def test_everything_goes_along(known):
     rows = carried.rows_of(places[field.gaussian_ids])
     assert_array_equal(np.sort(rows), np.arange(len(field)))
     assert_array_equal(carried.feature(rows), field.feature(np.arange(len(field))))
-    assert carried.evidence is not None
-    assert field.evidence is not None
     assert_array_equal(carried.evidence.weights[rows].toarray(), field.evidence.weights.toarray())
-    assert carried.objects is not None
-    assert field.objects is not None
     assert_array_equal(carried.objects.node_of[rows], field.objects.node_of)
     assert_array_equal(carried.objects.centers, field.objects.centers)
     query = np.eye(8, dtype=np.float32)[1]
@@ -96,7 +92,6 @@ def test_a_field_that_was_registered_can_be_carried_and_goes_on_growing(tmp_path
     assert_array_equal(first.evidence.weights.toarray(), then.evidence.weights.toarray())
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-4, 0.05, 1.0]))
 def test_no_row_is_given_twice_and_none_from_out_of_reach(seed, noise):
     rng = np.random.default_rng(seed)
@@ -145,12 +140,10 @@ def test_names_go_along():
     assignment = Assignment(rows, np.zeros(6), 1.0, "6-new", 6)
     label = Label.of("mug", "6-old", np.array([0, 1, 2, 4]), np.zeros(3))
     carried = carry_label(label, assignment)
-    assert carried is not None
     assert (carried.name, carried.scene, carried.spans.tolist()) == ("mug", "6-new", [[1, 2], [4, 6]])
     assert carry_label(Label.of("mug", "6-old", np.array([2]), np.zeros(3)), assignment) is None
     beyond = Label("mug", "6-old", np.array([[3, 5], [6, 1 << 62]]), np.zeros(3))  # spans of a damaged file
     carried = carry_label(beyond, assignment)
-    assert carried is not None
     assert carried.spans.tolist() == [[0, 2]]
 
 

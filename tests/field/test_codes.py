@@ -29,7 +29,7 @@ from twins import scan as reference_scan
 
 CLIP = EncoderIdentity("ViT-B-16/laion2b_s34b_b88k", 512)
 SMALL = EncoderIdentity("small", 24)
-few = settings(derandomize=True, deadline=None, max_examples=30)
+few = settings(derandomize=True, max_examples=30)
 
 
 def clustered(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
@@ -312,7 +312,6 @@ def test_the_hash_covers_everything():
     other = EncoderIdentity("another", 24)
     changed = book.centroids.copy()
     changed[-1, -1, -1] += 1
-    assert book.coarse is not None
     hashes = {
         book.hash,
         Codebook(changed, book.coarse, SMALL).hash,
@@ -361,7 +360,6 @@ def test_official_rows_without_a_feature_are_left_out_and_bad_ones_refused():
     kept = [0, 1, 3, 4, 5]
     assert_array_equal(found.ids, kept)
     assert_array_equal(found.codes.codes, codes.codes[kept])
-    assert codes.coarse_ids is not None
     assert_array_equal(found.codes.coarse_ids, codes.coarse_ids[kept])
     rows[3, :2] = 12, 0
     with pytest.raises(FormatError, match="row 3 names list 12 of 12"):
@@ -381,12 +379,10 @@ def official() -> Codebook:
 def test_the_authors_index_is_read_as_faiss_reads_it():
     faiss = pytest.importorskip("faiss")
     book, rng = official(), np.random.default_rng(10)
-    assert book.coarse is not None
     assert book.centroids.shape == (128, 256, 4)
     dead = ~book.coarse.any(axis=1)
     assert (len(book.coarse), int(dead.sum())) == (1024, 170)
     codes = random_codes(rng, book, 400)
-    assert codes.coarse_ids is not None
     codes.coarse_ids[:170] = np.flatnonzero(dead)
     index = faiss.read_index(str(OFFICIAL_INDEX))
     assert_allclose(book.decode(codes), index.sa_decode(official_bytes(codes)), atol=1e-7)

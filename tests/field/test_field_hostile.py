@@ -69,7 +69,6 @@ def field_with_objects(checksums: bool) -> dict[str, bytes]:
 def use_objects(path: Path) -> None:
     """Whatever loads must also work."""
     objects = load_field(path.parent).objects
-    assert objects is not None
     assert objects.thing_of().max(initial=-1) < len(objects)
     for row in range(0, len(objects.node_of), 100):
         objects.path(row)
@@ -153,7 +152,6 @@ def test_damaged_objects_are_an_error_or_the_same(tmp_path, bounded_memory):
     for file, content in field_with_objects(True).items():
         (tmp_path / file).write_bytes(content)
     expected = with_objects()[0].objects
-    assert expected is not None
 
     def read(path: Path) -> None:
         found = load_field(path.parent).objects

@@ -35,7 +35,7 @@ def _learnt_from_two(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def added(field: LanguageField, *names: str, **options: object) -> Change:
     new = [view for view in views() if view.name in names]
-    return add_views(field, scene(), new, features(), **options)  # type: ignore[arg-type]
+    return add_views(field, scene(), new, features(), **options)
 
 
 def forgetful(field: LanguageField, removed: tuple[str, ...] = ()) -> LanguageField:
@@ -47,7 +47,7 @@ steps = st.lists(st.tuples(st.sets(st.sampled_from(NAMES), min_size=1, max_size=
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(derandomize=True)
 @given(
     st.sets(st.sampled_from(NAMES), min_size=1),
     steps,
@@ -247,7 +247,7 @@ def test_the_number_of_threads_does_not_matter():
     assert len(NAMES) == COUNT
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(derandomize=True)
 @given(st.integers(0, 10_000), st.sets(st.integers(0, 5), max_size=5), st.integers(1, 4))
 def test_columns_that_come_and_go_are_those_of_dense_matrices(seed, gone, count):
     """Views of any order of names, columns and rows without entries among them."""

@@ -116,7 +116,7 @@ def test_a_row_between_two_masks_is_in_none_and_things_hang_together():
 
 def test_wrong_masks_keep_each_photo_s_weight_and_move_whole_masks():
     known = evidence(*([[0, 1, 2]] * 20))
-    room = Room(None, np.arange(300), known, OWNERS, CATEGORIES)  # type: ignore[arg-type]
+    room = Room(None, np.arange(300), known, OWNERS, CATEGORIES)
     moved = with_wrong(room, 40).evidence.weights
     views = known.masks.views
     np.testing.assert_array_equal(moved.toarray().reshape(300, 20, 3).sum(2), 1)
@@ -127,7 +127,7 @@ def test_wrong_masks_keep_each_photo_s_weight_and_move_whole_masks():
 
 def test_regions_are_the_labels_without_what_has_none():
     known = evidence([0, 1, 2], [0, 1, 2])
-    room = Room(None, np.arange(300) + 5, known, OWNERS, CATEGORIES)  # type: ignore[arg-type]
+    room = Room(None, np.arange(300) + 5, known, OWNERS, CATEGORIES)
     first, second = regions_of(room, np.repeat([-1, 9, 4], EACH))
     assert (first.ids[0], second.ids[0]) == (205, 105)
     assert (first.score, second.score) == (1.0, 1.0)

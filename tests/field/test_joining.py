@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
@@ -241,7 +241,6 @@ def test_relief_of_a_set_leaves_out_what_is_within():
     assert PieceSet(outlines, np.array([0])).relief == pytest.approx(1000 / (1000 + 550 + 30)) == outlines.reliefs[0]
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 10), st.lists(st.integers(0, 9), max_size=30))
 def test_a_set_that_changes_is_the_set_counted_anew(seed, count, changes):
     outlines = Outlines.of(a_mesh(np.random.default_rng(seed), count))
@@ -257,7 +256,6 @@ def test_a_set_that_changes_is_the_set_counted_anew(seed, count, changes):
     assert changed.holds == (inner_level >= inner_front)
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 10))
 def test_refining_ends_where_no_single_change_helps(seed, count):
     """Whatever set it begins with; and a set is never less than the seed that it is grown from."""
@@ -297,7 +295,6 @@ def a_mesh(rng: np.random.Generator, count: int) -> Borders:
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 12))
 def test_sets_are_disjoint_and_follow_the_pieces(seed, count):
     """Whatever the pieces are called."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
@@ -49,7 +49,6 @@ def divided(scene: ds.Gaussians, field: ds.LanguageField) -> Division:
     return finding.divided(field.evidence, scene.means[field.gaussian_ids])
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 300), st.integers(20, 400))
 def test_each_point_is_in_one_block_however_they_are_ordered(seed, count, most):
     rng = np.random.default_rng(seed)
@@ -98,7 +97,6 @@ def test_one_block_has_the_forest_of_the_whole(monkeypatch):
 def test_the_order_of_rows_changes_nothing(small_blocks):
     scene, field = row_of_things(seed=2)
     evidence, points = field.evidence, scene.means[field.gaussian_ids]
-    assert evidence is not None
     order = np.random.default_rng(3).permutation(len(evidence))
     one, other = finding.tree_of(evidence, points), finding.tree_of(evidence.rows(order), points[order])
     assert_array_equal(one.tree.node_of[order], other.tree.node_of)
@@ -112,7 +110,6 @@ def test_fits_are_those_of_the_forest():
     division = divided(scene, field)
     (block,) = division.blocks
     nodes = nodes_of(division.rows(block), division.thresholds, division.rule)
-    assert field.evidence is not None
     forest = united([nodes], division.masses).forest
     place = np.zeros((len(nodes.parents), len(field.evidence)), np.float32)
     for row, node in zip(nodes.rows, nodes.lowest.tolist(), strict=True):
@@ -145,7 +142,6 @@ def in_tiles_of(folder: Path, seed: int = 0) -> tuple[Tiles, ds.LanguageField]:
     ds.write_gaussians(folder / "scene.ply", scene)
     tiles = cut(blocks_of([folder / "scene.ply"]), folder / "scene.tiles", 250)
     order = np.concatenate([tiles.gaussians().extra["source_row"]]).astype(np.int64)
-    assert field.evidence is not None
     whole = field.evidence.rows(order)
     made = ds.Registration(whole, tiles.fingerprint, field.encoder).to_field()
     return tiles, made
@@ -202,7 +198,7 @@ class Stopped(OneProcess):
     def __init__(self, most: int) -> None:
         self.most = most
 
-    def results(self, work, items):  # type: ignore[no-untyped-def]
+    def results(self, work, items):
         for number in range(len(items)):
             if number == self.most:
                 raise KeyboardInterrupt
@@ -227,7 +223,7 @@ def test_no_room_is_told_and_nothing_is_lost(tmp_path, small_blocks, monkeypatch
         count += ".nodes." in path.name
         if count == 2:
             raise OSError(28, "No space left on device", str(path))
-        writing(path, *given, **more)  # type: ignore[arg-type]
+        writing(path, *given, **more)
 
     monkeypatch.setattr(store, "write_tensors", full)
     with pytest.raises(OSError, match="No space left"):

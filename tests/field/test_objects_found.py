@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -42,7 +42,6 @@ def test_a_whole_that_masks_fit_is_better_than_its_halves():
     assert best_nodes(parents, np.array([1.6, -1.0, -1.0])).tolist() == [True, False, False]
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 11))
 def test_the_chosen_set_is_the_best_of_all(seed, count):
     """Against all sets of nodes of which none is above another."""

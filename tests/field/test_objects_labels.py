@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
@@ -49,7 +49,6 @@ def test_the_file_lies_beside_the_field(tmp_path):
 
 
 @pytest.mark.slow
-@settings(deadline=None)
 @given(st.sets(st.integers(0, 3 * EACH - 1), min_size=1))
 def test_rows_survive_the_file(rows):
     field = with_objects()[0]
@@ -82,7 +81,6 @@ def test_what_is_written_is_read(labels, field):
 
 def test_the_best_overlap_wins(field):
     objects = field.objects
-    assert objects is not None
     third = field.gaussian_ids[objects.rows(THINGS[2])].astype(np.int64)
     found = matched(
         [
@@ -145,7 +143,6 @@ def test_names_outlive_the_field(tmp_path, field, capsys):
     field.save(tmp_path / "a.field")
     answer_of(capsys, "objects", tmp_path / "a.field", "--label", "mug", "--id", 0)
     objects = field.objects
-    assert objects is not None
     masses = objects.masses.copy()
     masses[THINGS[0]] = 1
     node_of = objects.node_of.copy()

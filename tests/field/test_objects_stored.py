@@ -105,7 +105,6 @@ def test_masks_are_those_of_the_largest_share(objects):
 
 def test_at_most_32_masks_and_4_descriptors():
     scene, field = known_scene(), known_field(known_scene())
-    assert field.evidence is not None
     rng = np.random.default_rng(0)
     masks = field.evidence.masks
     views = np.sort(rng.integers(0, 3, 90)).astype(np.int32)

@@ -88,7 +88,7 @@ def test_the_feature_is_the_normalised_weighted_mean(registration):
     assert registration.num_registered == seen.sum()
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12, derandomize=True)
 @given(st.permutations(range(4)), st.sampled_from([1, 2, 3]))
 def test_neither_the_order_of_views_nor_the_number_of_threads_matters(order, threads):
     gaussians, (views, features) = random_gaussians(400, seed=3), capture()
@@ -96,7 +96,7 @@ def test_neither_the_order_of_views_nor_the_number_of_threads_matters(order, thr
     assert same(shuffled, register(gaussians, views, features, sampling=Sampling(10)))
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8, derandomize=True)
 @given(st.sets(st.integers(0, 3), min_size=1, max_size=3))
 def test_merged_shards_are_one_pass(first):
     gaussians, (views, features) = random_gaussians(400, seed=3), capture()

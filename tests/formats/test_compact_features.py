@@ -78,7 +78,7 @@ def test_a_photo_in_two_forms_and_unknown_forms_are_refused(tmp_path):
     with pytest.raises(InputError, match="another form"):
         write_features(tmp_path, "a", blocks(), rows, form="compact")
     with pytest.raises((InputError, TypeError), match="compact"):
-        write_features(tmp_path, "b", blocks(), rows, form="png")  # type: ignore[arg-type]
+        write_features(tmp_path, "b", blocks(), rows, form="png")
     write_features(tmp_path, "a", blocks(), rows, overwrite=True, form="compact")
     assert list(files_of(tmp_path)) == [f"a{COMPACT}"]
     for name, content in theirs.items():
@@ -153,7 +153,7 @@ def hostile(path: Path, **changes: object) -> Path:
     tensors, about = map_tensors(path)
     arrays = {name: np.array(array) for name, array in tensors.items()}
     for name, value in changes.items():
-        (arrays if isinstance(value, np.ndarray) else about)[name] = value  # type: ignore[index]
+        (arrays if isinstance(value, np.ndarray) else about)[name] = value
     write_tensors(path, arrays, about, overwrite=True)
     return path
 

@@ -46,8 +46,6 @@ def answers(field: LanguageField) -> list[object]:
     """Everything that a field says, as comparable values."""
     queries = unit_rows(np.random.default_rng(5), 2, 32)
     evidence = field.evidence
-    assert evidence is not None
-    assert field.negatives is not None
     arrays = (
         field.gaussian_ids, field.scores(queries), field.relevancy(queries[0]), evidence.weights.data,
         evidence.weights.indptr, evidence.weights.indices, evidence.embeddings, evidence.masks.views,

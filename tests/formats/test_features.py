@@ -97,7 +97,7 @@ def test_a_photo_without_masks(tmp_path):
     assert (features.mask_ids == -1).all()
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(derandomize=True)
 @given(arrays(np.int32, (4, 3, 5), elements=st.integers(-1, 10)), st.integers(0, 3))
 def test_round_trip(tmp_path_factory, maps, level):
     folder = tmp_path_factory.mktemp("features")

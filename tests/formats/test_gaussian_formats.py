@@ -24,7 +24,7 @@ SPLATS = Path(__file__).resolve().parents[3] / "shared" / "data" / "splats"
 no_splats = pytest.mark.skipif(not SPLATS.is_dir(), reason=f"no real captures at {SPLATS}")
 seeds = st.integers(0, 2**32 - 1)
 degrees = st.integers(0, 3)
-quick = settings(derandomize=True, deadline=None, max_examples=25)
+quick = settings(derandomize=True, max_examples=25)
 
 
 def parsed(data: bytes, suffix: str = "") -> Gaussians:

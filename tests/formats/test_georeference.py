@@ -53,7 +53,6 @@ def test_a_file_beside_the_scene(tmp_path):
     assert read_georeference(tmp_path, None) is None
     (tmp_path / NAME).write_text(json.dumps(HERE))
     found = read_georeference(None, tmp_path)
-    assert found is not None
     place = found.positions(np.array([[0.0, 0, 0], [0, -1, 0], [0, 0, 50]]))
     assert_allclose(place[0], [13.4, 52.5, 80], atol=1e-8)
     assert_allclose(place[1], [13.4, 52.5, 82], atol=1e-6)  # the world's y looks down

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -111,7 +111,6 @@ def test_a_missing_chunk_is_told(tmp_path):
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=60, deadline=None)
 def test_damaged_indices_are_refused_or_read(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("damaged")
     write_streamed(folder)

@@ -84,8 +84,6 @@ def test_the_finest_level_is_the_scene_with_its_objects(tmp_path):
     apart, rows = cKDTree(scene.gaussians.means).query(read.means)
     assert apart.max() < 1e-3
     assert_array_equal(np.sort(rows), np.arange(COUNT))
-    assert scene.object_numbers is not None
-    assert scene.relevancy is not None
     assert_array_equal(read.extra["object_id"], scene.object_numbers[rows])
     assert_allclose(read.extra["relevancy"], scene.relevancy[rows], atol=1 / 65535)
     assert_allclose(read.opacities, scene.gaussians.opacities[rows], atol=0.5 / 255 + 1e-6)

@@ -15,7 +15,7 @@ from fields import random_weights, unit_rows
 from twins import algebra as reference_algebra
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
-few = settings(derandomize=True, deadline=None, max_examples=40)
+few = settings(derandomize=True, max_examples=40)
 
 
 @every_isa

@@ -13,7 +13,7 @@ from drsplat.kernels.scan import keep_best
 from twins import ranking as twin
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
-few = settings(derandomize=True, deadline=None, max_examples=60)
+few = settings(derandomize=True, max_examples=60)
 
 
 def nothing(rows: int, kept: int) -> tuple[np.ndarray, np.ndarray]:

@@ -78,7 +78,7 @@ def test_more_rows_than_blocks_score_at_once(engine):
 
 @pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(1, 150), st.integers(1, 700), st.integers(1, 3))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_laws(engine, seed, subvectors, count, queries):
     check_everything(engine, *drawn(seed, count, subvectors, queries, coarse=seed % 2 * 3))
 

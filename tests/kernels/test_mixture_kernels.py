@@ -28,7 +28,7 @@ from fields import unit_rows
 from twins import mixture as reference_mixture
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
-few = settings(derandomize=True, deadline=None, max_examples=40)
+few = settings(derandomize=True, max_examples=40)
 
 
 def candidates_of(rng: np.random.Generator, rows: int, atoms: int, further: int = 0) -> Candidates:

@@ -33,7 +33,7 @@ from twins import photo_regions as twin
 
 LAYERS = layers_of(shipped_network()[0])
 every_isa = pytest.mark.parametrize("isa", available_isas())
-few = settings(derandomize=True, deadline=None, max_examples=40)
+few = settings(derandomize=True, max_examples=40)
 SEEDS = st.integers(0, 10**6)
 
 

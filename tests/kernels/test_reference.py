@@ -22,7 +22,7 @@ from twins.projection import BLUR, dimming, project
 
 FOCAL, WIDTH, HEIGHT = 32.0, 48, 32
 AXIS_PIXEL = (16, 24)  # row, column whose centre is the principal point
-laws = settings(derandomize=True, deadline=None, max_examples=15)
+laws = settings(derandomize=True, max_examples=15)
 
 
 def on_axis_view() -> View:

@@ -96,7 +96,6 @@ def test_native_is_the_twin(seed):
         assert_allclose(getattr(fast, name), getattr(slow, name), rtol=2e-5, atol=2e-6)
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 90))
 def test_a_forest_is_one(seed, rows):
     """Parents come later and hold the sum of their children; same bits at any number of threads."""
@@ -113,7 +112,7 @@ def test_a_forest_is_one(seed, rows):
             assert_array_equal(one, other)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10_000), st.floats(0.01, 100))
 def test_brighter_weights_change_nothing(seed, factor):
     """Weights times a factor, and soft and far with them, are the same question."""

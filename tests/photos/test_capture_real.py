@@ -49,8 +49,6 @@ def test_drone_photos_are_placed_by_their_exif_alone(tmp_path):
     assert turned < 1
     assert tilt < 3
     ours, theirs = (read_georeference(folder) for folder in (tmp_path / "capture", DATA / "brighton_beach"))
-    assert ours is not None
-    assert theirs is not None
     here, there = (np.array([view.center for view in each]) for each in (posed, [given[v.name] for v in posed]))
     origin = (theirs.longitude, theirs.latitude, theirs.height)
     apart = local_offsets(origin, ours.positions(here)) - local_offsets(origin, theirs.positions(there))

@@ -87,7 +87,7 @@ def test_it_is_a_segmenter_of_one_level():
     assert set(GraphSegmenter().segment(np.zeros((4, 4, 3), np.uint8))) == {"large"}
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(IMAGES)
 def test_masks_are_a_partition_largest_first(image):
     masks = large(image)
@@ -97,7 +97,7 @@ def test_masks_are_a_partition_largest_first(image):
     assert masks.areas.min() > 0
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(IMAGES)
 def test_same_image_same_masks(image):
     assert_array_equal(paint(large(image)), paint(large(image.copy())))
@@ -175,7 +175,7 @@ def test_enlarged_labels_are_those_of_the_nearest_pixel(h, w, m, n):
 # Features
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(IMAGES)
 def test_features_do_not_depend_on_the_order_of_a_pair(image):
     _, graph = graph_of(image)
@@ -265,7 +265,6 @@ def graph_of(image: np.ndarray) -> tuple[np.ndarray, RegionGraph]:
 
 
 @pytest.mark.parametrize("merged", [merged_by_twin, merged_natively])
-@settings(max_examples=25, deadline=None)
 @given(IMAGES, st.sampled_from([0.1, 0.5, 0.9]))
 def test_merging_is_that_of_plain_loops(merged, image, threshold):
     rule = shipped_rule()[0]
@@ -275,7 +274,6 @@ def test_merging_is_that_of_plain_loops(merged, image, threshold):
 
 
 @pytest.mark.parametrize("isa", available_isas())
-@settings(max_examples=25, deadline=None)
 @given(IMAGES, st.sampled_from([0.3, 0.6, 0.9]), st.floats(0, 90), st.floats(0, 4))
 def test_native_merging_is_the_twins(isa, image, threshold, area, width):
     rule = shipped_rule()[0]
@@ -285,7 +283,6 @@ def test_native_merging_is_the_twins(isa, image, threshold, area, width):
 
 
 @pytest.mark.parametrize("isa", available_isas())
-@settings(max_examples=25, deadline=None)
 @given(IMAGES)
 def test_the_native_order_of_merging_is_the_twins(isa, image):
     rule = shipped_rule()[0]
@@ -318,7 +315,7 @@ def test_a_graph_or_rule_of_other_shapes_is_refused():
         pair_likelihoods(graph, replace(rule, hidden=rule.hidden[1:]).parts)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(IMAGES, st.floats(2, 200))
 def test_no_small_region_stays(image, least):
     labels, graph = graph_of(image)

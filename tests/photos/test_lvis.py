@@ -40,7 +40,7 @@ MASKS = arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9)))
 # Run lengths
 
 
-@settings(deadline=None, derandomize=True, max_examples=80)
+@settings(derandomize=True, max_examples=80)
 @given(MASKS)
 def test_runs_and_their_text_are_the_mask(mask):
     counts = runs_of(mask)
@@ -49,7 +49,7 @@ def test_runs_and_their_text_are_the_mask(mask):
     assert_array_equal(decode_runs(unpacked, *mask.shape, "here"), mask)
 
 
-@settings(deadline=None, derandomize=True, max_examples=80)
+@settings(derandomize=True, max_examples=80)
 @given(st.lists(st.integers(0, 1 << 32), max_size=30))
 def test_any_counts_survive_packing(counts):
     assert unpack_counts(packed(counts), "here").tolist() == counts
@@ -101,7 +101,7 @@ def inside(points: np.ndarray, x: float, y: float) -> bool:
     return odd
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(derandomize=True)
 @given(
     st.lists(st.tuples(st.integers(-12, 50), st.integers(-12, 50)), max_size=9), st.integers(1, 11), st.integers(1, 11)
 )

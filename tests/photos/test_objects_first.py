@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
@@ -207,7 +207,6 @@ def test_masks_of_four_levels_are_refused(scene, photos, tmp_path):
 # --- which photos ---------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 7), st.integers(1, 12), st.integers(0, 2**32 - 1))
 def test_each_view_is_the_one_that_shows_most_of_what_is_left(views, rows, seed):
     """Beside a plain loop that looks at every view each time."""

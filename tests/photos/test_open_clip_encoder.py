@@ -33,7 +33,7 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-class Model(torch.nn.Module):  # type: ignore[misc, name-defined]
+class Model(torch.nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.visual, self.words = torch.nn.Linear(3 * SIDE**2, DIM), torch.nn.Embedding(64, DIM)

@@ -151,7 +151,6 @@ def embed_line(folder: Path, output: Path, *more: str) -> list[str]:
 def test_voted_things_become_masks_and_register_and_a_click_go_on_from_them(voted, photos, tmp_path, capsys):
     assert cli.main(embed_line(voted, tmp_path / "things")) == 0
     objects = ds.load_field(voted / "room.field").objects
-    assert objects is not None
     levels = {level: ds.read_features(tmp_path / "things", level) for level in LEVELS}
     for view in photos:
         numbers = {level: set(levels[level][view.name].file_rows.tolist()) for level in LEVELS}

@@ -284,7 +284,6 @@ def test_no_more_points_are_asked_than_allowed_and_they_are_spread():
     assert_array_equal(spread(point_grid(3), None), point_grid(3))
 
 
-@settings(max_examples=60, deadline=None)
 @given(arrays(np.bool_, st.tuples(st.integers(1, 24), st.integers(1, 24))), st.integers(1, 9))
 def test_open_points_are_those_of_the_grid_whose_cells_are_mostly_not_explained(explained, side):
     height, width = explained.shape

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_embedding import a_view
 
@@ -14,7 +14,6 @@ from drsplat.photos.models.mini import MiniEncoder
 from fake_models import ColorSegmenter
 
 
-@settings(deadline=None)
 @given(st.lists(st.integers(), max_size=20), st.integers(1, 5))
 def test_results_come_in_order(items, at_once):
     assert list(side_by_side(lambda item: item + 1, items, at_once)) == [item + 1 for item in items]

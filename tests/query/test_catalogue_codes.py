@@ -38,7 +38,7 @@ def drawn(rng: np.random.Generator, scenes: int, dim: int = 64) -> tuple[np.ndar
     masks = things[rng.integers(0, 80, scenes * OBJECTS)].repeat(2, axis=0)
     masks = masks + rng.standard_normal(masks.shape) * spread * 0.8
     words = unit(rng, dim) * 1.5 + 0.5 * (things - common) + 0.6 * unit(rng, 80, dim)
-    return tuple((rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32) for rows in (masks, words))  # type: ignore[return-value]
+    return tuple((rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32) for rows in (masks, words))
 
 
 def add(path: Path, name: str, vectors: np.ndarray) -> None:
@@ -71,7 +71,6 @@ def coded(made: tuple[Path, np.ndarray, np.ndarray], tmp_path: Path) -> tuple[Ca
 
 def uncoded(catalogue: Catalogue) -> int:
     read = codes.CodeReader(catalogue.path).of(catalogue._snapshot())
-    assert read is not None
     return len(read.without)
 
 
@@ -107,13 +106,13 @@ def test_the_same_answer_with_any_number_of_threads(coded):
 def test_what_is_removed_or_replaced_is_never_answered(coded):
     catalogue, vectors, words = coded
     query = vectors[2 * OBJECTS * 2]  # the first object of s2
-    assert answer(catalogue, query)[0][:2] == ("s2", 0)  # type: ignore[index]
+    assert answer(catalogue, query)[0][:2] == ("s2", 0)
     catalogue.remove("s2")
-    assert "s2" not in {scene for scene, *_ in answer(catalogue, query)}  # type: ignore[misc]
+    assert "s2" not in {scene for scene, *_ in answer(catalogue, query)}
     add(catalogue.path, "s1", drawn(np.random.default_rng(7), 1)[0])  # in place of another
     add(catalogue.path, "new", np.repeat(query[None], 4, axis=0))
     assert uncoded(catalogue) == 0
-    assert [one[:2] for one in answer(catalogue, query)[:2]] == [("new", 0), ("new", 1)]  # type: ignore[index]
+    assert [one[:2] for one in answer(catalogue, query)[:2]] == [("new", 0), ("new", 1)]
     for vector in (query, *words[:5]):
         assert answer(catalogue, vector) == answer(catalogue, vector, exact=True)
 
@@ -122,7 +121,6 @@ def test_codes_of_many_deleted_rows_are_passed_over(coded):
     """All that are nearest are gone: those after them are found."""
     catalogue, _, words = coded
     opened = current(catalogue.path)
-    assert opened is not None
     opened.table.delete("object_id >= 20")  # of 300, in each scene
     table.record(catalogue.path)
     snapshot = catalogue._snapshot()
@@ -275,13 +273,11 @@ def test_a_version_never_uses_codes_of_a_later_one(coded, monkeypatch):
     add(catalogue.path, "late", near)
     older = catalogue._snapshot()
     opened = current(catalogue.path)
-    assert opened is not None
     opened.table.delete("scene = 'late' AND object_id >= 4")
     monkeypatch.undo()
     table.tidy(catalogue.path)
     for snapshot, without, count in ((older, 1, 10), (catalogue._snapshot(), 0, 4)):
         read = codes.CodeReader(catalogue.path).of(snapshot)
-        assert read is not None
         assert len(read.without) == without
         found = nearest_objects(snapshot, read, Search(words[0], "", 10, 1)).rows["scene"].to_pylist()
         assert found.count("late") == count
@@ -307,7 +303,6 @@ def test_another_process_sees_every_change_whole(coded):
     add(catalogue.path, "stays", np.repeat(vector[None], 8, axis=0))
     command = [sys.executable, "-c", ASKING, str(catalogue.path), str(catalogue.path.parent / "v.npy")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as asking:
-        assert asking.stdout is not None
         lines = [asking.stdout.readline()]
         for number in range(3):
             add(catalogue.path, "comes", np.repeat(vector[None], 12, axis=0))
@@ -340,7 +335,6 @@ def test_fragments_are_those_of_the_row_ids(coded):
 def test_damaged_manifests_are_told_or_read(coded, tmp_path):
     snapshot, rng = coded[0]._snapshot(), np.random.default_rng(3)
     manifest = manifest_of(snapshot.path / "objects.lance", snapshot.version)
-    assert manifest is not None
     good, told = manifest.read_bytes(), 0
     for number in range(300):
         damaged = bytearray(good[: int(rng.integers(0, len(good)))] if number % 3 == 0 else good)

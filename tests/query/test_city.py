@@ -178,7 +178,7 @@ def test_without_evidence_a_near_view_that_shows_it_is_taken(both):
     tiled, whole = both
     bare = Scene(replace(tiled.field, evidence=None, objects=None, growth=None), tiled.tiles, tiled.views)
     away = [look_at_view((x, -30.0, 0.0), (x, -60.0, 0.0), width=60, height=40) for x in range(9)]
-    bare.views = (*away, *whole.views)  # type: ignore[misc]
+    bare.views = (*away, *whole.views)
     shown = [view.name for view in whole.views]
     assert bare.best_view(whole.locate("red mug")[0].gaussian_ids).name in shown
 

@@ -22,7 +22,6 @@ def photos_like() -> LanguageField:
     """Three things that fit some noun better than any colour, as real photos do; red, white and brown fit best of the
     colours. The brown one fits brown only half as well as the others fit theirs."""
     nouns, colors = MINI.encode_texts(MINI.nouns), MINI.rivals("red")
-    assert colors is not None
     wrong = nouns[[MINI.nouns.index(name) for name in ("bottle", "sofa", "box")]]
     right = colors[[COLORS.index(color) for color in ("red", "white", "brown")]]
     pictures = 1.2 * wrong + np.array([[0.9], [0.9], [0.6]]) * right

@@ -98,7 +98,6 @@ def test_objects_and_services_tell_it_too(city):
     scene = opened(city / "tiled")
     (match,) = matches_of(scene, scene.locate("red mug"))
     listed = object_list(scene, scene.objects).objects
-    assert match.position is not None
     assert {one.position.longitude for one in listed if one.position is not None} >= {match.position.longitude}
     assert all(one.footprint is not None and one.footprint.type == "Polygon" for one in listed)
 
@@ -108,7 +107,6 @@ def test_a_georeference_in_the_capture_counts_and_a_damaged_one_is_an_error(city
     assert opened(scene).georeference is None
     write_georeference(scene / "capture", TURNED)
     found = opened(scene).georeference
-    assert found is not None
     assert found.longitude == HERE[0]
     (scene / "capture" / NAME).write_text("{}")
     with pytest.raises(FormatError, match="drsplat georeference"):

@@ -61,7 +61,6 @@ def test_what_has_few_gaussians_that_can_be_seen_is_no_match(scene, sketch):
 
 def test_it_stands_for_all_rows(scene, sketch):
     objects = scene.field.objects
-    assert objects is not None
     numbers = objects.thing_of()
     assert sketch.counts.sum() == len(scene.field)
     assert_array_equal(np.bincount(sketch.numbers, sketch.counts), np.bincount(numbers))

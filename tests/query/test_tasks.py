@@ -163,7 +163,7 @@ def class_scores(table: list[list[int]]) -> tuple[LanguageField, np.ndarray]:
     return field, np.ascontiguousarray(np.array(table, np.float32).T / 4)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True)
 @given(classes, st.integers(-5, 4))
 def test_segment_is_the_argmax_of_those_that_compete(table, quarters):
     """Against a loop over Gaussians and classes."""

@@ -10,7 +10,7 @@ from drsplat.query.thresholds import CUT_SHARE, PEAK_ROWS, automatic_threshold, 
 
 RULES = (automatic_threshold, lambda s: share_threshold(s, 0.3))
 every_rule = pytest.mark.parametrize("rule", RULES, ids=["automatic", "share"])
-few = settings(derandomize=True, deadline=None)
+few = settings(derandomize=True)
 grids = st.lists(st.integers(-50, 50), min_size=2, max_size=60)  # sixteenths: no sum is rounded
 
 

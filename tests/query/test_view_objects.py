@@ -60,7 +60,6 @@ def worded() -> Session:
 def test_a_click_selects_the_thing_that_asking_finds_there(session):
     for number, center in enumerate(CENTERS):
         click(session, center)
-        assert session.clicked is not None
         asked = session.scene.ask(Query(point=tuple(session.clicked.point.tolist())))
         assert_array_equal(session.selection, rows(number))
         assert_array_equal(session.selection, asked.gaussian_ids)
@@ -72,13 +71,11 @@ def test_a_click_selects_the_thing_that_asking_finds_there(session):
 def test_of_what_a_ray_meets_the_thing_that_is_most_seen_is_chosen(session):
     ids, weights = np.array([EACH, 0, 1]), np.array([0.4, 0.3, 0.3])
     chosen = chosen_at(session.scene, ids, weights)
-    assert chosen is not None
     assert chosen.node == FIRST
 
 
 def test_a_click_on_what_is_in_no_object_selects_what_is_like_it(session):
     field, gaussians = session.scene.field, session.scene.gaussians
-    assert field.objects is not None
     third = field.gaussian_ids >= 2 * EACH
     loose = replace(field.objects, node_of=np.where(third, -1, field.objects.node_of).astype(np.int32))
     other = Session(Scene(field.with_objects(loose), gaussians))
@@ -124,7 +121,6 @@ def test_smaller_and_larger_go_the_way_of_the_click(session):
     session.smaller()
     assert_array_equal(session.selection, rows(0))
     session.smaller()
-    assert session.clicked is not None
     half = session.clicked.gaussian_id // (EACH // 2)
     assert_array_equal(session.selection, np.arange(half * EACH // 2, (half + 1) * EACH // 2))
     assert session.results[0].label == "part of object 0"
@@ -170,10 +166,8 @@ def test_a_name_is_kept_shown_and_answers(session):
     session.larger()
     session.name(" the pair ")
     assert session.results[0].label == "the pair"
-    assert session.chosen is not None
     assert session.chosen.node == PAIR
     assert_array_equal(session.scene.ask("THE PAIR").gaussian_ids, rows(0, 1))
-    assert session.scene.label_file is not None
     assert [label.name for label in session.scene.label_file.read()] == ["the pair"]
     with pytest.raises(InputError, match="1 to 200"):
         session.name("  ")

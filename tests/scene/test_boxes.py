@@ -52,7 +52,7 @@ def everything(gaussians: Gaussians, up: np.ndarray | None = UP) -> Box:
     return box_of(gaussians, np.arange(len(gaussians)), up)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(0, 180))
 def test_a_cuboid_is_found_whichever_way_it_is_turned(turn):
     found = everything(shell(turn=turn))
@@ -166,7 +166,7 @@ def test_sets_that_are_none(starts, ids, words):
         boxes_of(random_gaussians(500), np.array(starts, np.int64), np.array(ids, np.int64))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.tuples(*[st.floats(-1e7, 1e7)] * 3), st.floats(1e-3, 1e3))
 def test_boxes_move_and_grow_with_the_scene(place, unit_of_length):
     thing, by = shell(turn=30), np.array(place)
@@ -201,7 +201,6 @@ def test_the_quantile_of_a_mixture_of_normals():
     assert_allclose(points, 2, atol=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 300), st.sampled_from([0.003, 0.2, 0.5, 0.8, 0.997]))
 def test_the_quantile_is_where_the_mixture_says(seed, count, share):
     """Wide ones and narrow ones, and some without mass: all of them are counted, not only those near the end."""

@@ -49,7 +49,7 @@ def test_a_crop_is_that_of_the_reference(box):
     assert_array_equal(crop(IMAGE, part, box), by_hand(IMAGE, part, box))
 
 
-@settings(deadline=None, derandomize=True, max_examples=80)
+@settings(derandomize=True, max_examples=80)
 @given(st.data())
 def test_any_crop_is_that_of_the_reference(data):
     height, width = data.draw(st.integers(1, 9)), data.draw(st.integers(1, 9))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drsplat import Gaussians, write_gaussians
@@ -22,14 +22,12 @@ def same(one: Gaussians, other: Gaussians, tolerance: float = 0.0) -> bool:
     return all(np.abs(getattr(one, name) - getattr(other, name)).max() <= tolerance for name in SHAPES)
 
 
-@settings(max_examples=30, deadline=None)
 @given(time=st.floats(0, 1))
 def test_what_stands_still_keeps_its_bits_at_every_time(time):
     gaussians = random_gaussians(40)
     assert same(still(gaussians).at(time), gaussians)
 
 
-@settings(max_examples=30, deadline=None)
 @given(time=st.floats(0, 2))
 def test_between_frames_means_go_straight(time):
     moving = drifting()

@@ -50,7 +50,7 @@ def test_distortion_by_hand():
     assert_allclose(got, [[100 * x, 100 * y]], rtol=1e-14)
 
 
-@settings(deadline=None, derandomize=True, max_examples=100)
+@settings(derandomize=True, max_examples=100)
 @given(st.tuples(*[st.floats(-0.08, 0.08)] * 2, *[st.floats(-0.005, 0.005)] * 2), st.floats(0, 200), st.floats(0, 150))
 def test_undistort_inverts_distort(distortion, x, y):
     view, pixel = camera(distortion), np.array([[x, y]])

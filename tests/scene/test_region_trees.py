@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -41,7 +41,6 @@ def any_size(monkeypatch) -> None:
     monkeypatch.setattr(region_tree, "MAX_AREA_SHARE", 2.0)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6))
 def test_candidates_are_the_nodes_of_the_tree(seed):
     tree, _ = tree_of(seed)
@@ -53,7 +52,6 @@ def test_candidates_are_the_nodes_of_the_tree(seed):
     assert found == expected
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6))
 def test_outlines_and_frames_are_those_of_plain_loops(seed):
     tree, strength = tree_of(seed)

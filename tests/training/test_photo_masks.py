@@ -216,7 +216,7 @@ def test_what_is_left_out_decides_nothing(crowded, tmp_path):
 
 def test_white_masks_give_the_bits_of_no_masks(crowded):
     _, views, scene = crowded
-    white = views[0].image_path.parent.parent / "white.png"  # type: ignore[union-attr]
+    white = views[0].image_path.parent.parent / "white.png"
     save(white, np.full(SIZE, 255, np.uint8))
     plain, masked = run_of(views, scene), run_of([replace(view, mask_path=white) for view in views], scene)
     for _ in range(20):
@@ -248,7 +248,6 @@ def test_measures_compare_what_is_kept_alone(crowded):
     settings = ds.TrainingSettings(sh_degree=1, background="black")
     parameters = first_gaussians(perturbed_points(scene), settings)
     scored = evaluate(parameters, [view], TrainingPhotos([view], 0), settings)
-    assert scored is not None
     from drsplat.training.evaluation import rendered
 
     image = rendered(parameters, view, settings)

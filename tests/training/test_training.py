@@ -264,7 +264,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path
 def unfinished(folder: Path, views: list[ds.View], points: SparsePoints) -> Path:
     """A folder whose run was stopped after iteration 30; the path of its checkpoint."""
 
-    def stop(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+    def stop(status: ds.training.Status) -> None:
         if status.iteration == 33:
             raise KeyboardInterrupt
 
@@ -520,7 +520,7 @@ def scenes_of(folder: Path) -> dict[str, bytes]:
 def test_a_run_killed_before_its_first_checkpoint_goes_on(views, points, tmp_path, monkeypatch):
     """Also after --save-at has written a scene."""
 
-    def killed(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+    def killed(status: ds.training.Status) -> None:
         if status.iteration == 12:
             raise RuntimeError("killed")
 
@@ -614,7 +614,7 @@ def test_two_runs_do_not_share_a_folder(views, points, tmp_path):
     few = replace(BUSY, iterations=3)
     said: list[str] = []
 
-    def second(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+    def second(status: ds.training.Status) -> None:
         with pytest.raises(InputError) as error:
             ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
         said.append(str(error.value))

@@ -476,7 +476,7 @@ def test_rotations_are_those_of_the_quaternions():
 # --- Markov chain Monte Carlo ---
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True)
 @given(opacity=st.floats(0.01, 0.99), sharing=st.integers(2, 20))
 def test_sharing_a_place_keeps_the_picture(opacity, sharing):
     """N in front of each other block as much at the centre, and as much along a line, as the one did."""

@@ -35,7 +35,6 @@ def views() -> list[ds.View]:
 @pytest.fixture(scope="module")
 def surface() -> cKDTree:
     found = ds.read_sparse_points(ROOM)
-    assert found is not None
     return cKDTree(found.positions)
 
 
