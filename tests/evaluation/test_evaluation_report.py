@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from test_lerf_ovs import PER_THING, THINGS, balls, data  # noqa: F401
 from test_scannet_protocols import write_scene
 
 import drsplat as ds
 from drsplat import WordEncoder, cli
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.errors import FormatError, MismatchError
 from drsplat.evaluation import predictions, report, tables
 from drsplat.evaluation.report import Figure, write_report
 from drsplat.evaluation.running import automatic_choosers
@@ -22,6 +23,7 @@ from drsplat.evaluation.scorers import cosine_scorer, feature_scorer, hashed, re
 from drsplat.formats.peer_features import read_peer_features
 from drsplat.query import Query, Scene
 from fields import TOY, ToyEncoder, toy_field, unit_rows
+from refusing import refused
 
 
 @pytest.mark.parametrize("module", [predictions, tables, report])
@@ -55,7 +57,7 @@ def test_negatives_are_scored_once():
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
 def test_features_of_others_are_scored_without_codes(dtype, tmp_path):
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     features = (3 * unit_rows(rng, 50, TOY.dim)).astype(dtype)
     features[7] = 0
     np.save(tmp_path / "f.npy", features)
@@ -70,7 +72,7 @@ def test_features_of_others_are_scored_without_codes(dtype, tmp_path):
 
 
 def test_features_that_no_length_can_be_told_of_have_no_score():
-    features = unit_rows(np.random.default_rng(0), 5, TOY.dim).astype(np.float32)
+    features = unit_rows(default_rng(0), 5, TOY.dim).astype(np.float32)
     features[1], features[2, 3], features[3, 3] = 3e38, np.nan, np.inf
     scores = feature_scorer(features, ToyEncoder()).scores("red mug")
     assert np.flatnonzero(np.isnan(scores)).tolist() == [1, 2, 3]
@@ -78,7 +80,7 @@ def test_features_that_no_length_can_be_told_of_have_no_score():
 
 def test_features_of_another_kind_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((3, 4), np.float64))
-    with pytest.raises(InputError, match="float16 or float32"):
+    with refused("float16 or float32"):
         read_peer_features(tmp_path / "a.npy")
     with pytest.raises(MismatchError, match=r"expected \(N, 32\)"):
         feature_scorer(np.zeros((3, 4), np.float32), ToyEncoder())
@@ -154,7 +156,7 @@ def test_report_is_one_page_that_needs_nothing_else(tmp_path):
     document = json.loads((tmp_path / "results.json").read_text())
     assert document["format"] == "drsplat evaluation"
     assert document["results"][0]["columns"]["fixed"]["scene_macro"]["miou"] is None
-    with pytest.raises(InputError, match="overwrite"):
+    with refused("overwrite"):
         write_report(tmp_path, results)
     before = [path.read_bytes() for path in written]
     write_report(tmp_path, results, [Figure("a < b", picture)], [report.bars([("x", 2.0)], "s", "t")], True)
@@ -245,7 +247,7 @@ def test_command_scores_scannet_scenes(protocol, tmp_path, capsys):
     labels = tmp_path / "mine.tsv"
     labels.write_text("1\twall\n2\tfloor\n7\ttable\n")
     texts = ["wall", "floor", "table"]
-    vectors = unit_rows(np.random.default_rng(0), 3, 16)
+    vectors = unit_rows(default_rng(0), 3, 16)
     (tmp_path / "words.json").write_text(json.dumps(dict(zip(texts, vectors.tolist(), strict=True))))
     np.save(tmp_path / "features.npy", vectors[np.arange(len(gaussians)) % 3])
     given = ["evaluate", protocol, str(place.parent), "--label-set", str(labels), "--json"]

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import drsplat as ds
-from drsplat.errors import DrSplatError, FormatError, InputError, MismatchError
+from drsplat.errors import DrSplatError, FormatError, MismatchError
 from drsplat.evaluation import lerf_ovs, scorers
 from drsplat.evaluation.lerf_ovs import LerfScene, predict, read_lerf_scene, score
 from drsplat.evaluation.predictions import mask_path, write_mask
@@ -20,6 +20,7 @@ from drsplat.evaluation.scorers import Scorer
 from drsplat.evaluation.tables import tables_of
 from drsplat.formats.cameras_json import write_cameras_json
 from mutations import mutants, quota
+from refusing import malformed, refused
 from scenes import look_at_view
 
 WIDTH, HEIGHT, PER_THING = 96, 72, 150
@@ -232,10 +233,10 @@ def test_predictions_of_another_size_are_refused(room, tmp_path):
     write_truth(room, tmp_path)
     path = mask_path(tmp_path, "room", "fixed", *[room.pairs[0][0].name, room.pairs[0][1]])
     write_mask(path, np.zeros((5, 5), bool))
-    with pytest.raises(FormatError, match="expected 96x72 pixels"):
+    with malformed("expected 96x72 pixels"):
         score([room], tmp_path)
     path.write_bytes(b"no picture")
-    with pytest.raises(FormatError, match="cannot be read as a PNG"):
+    with malformed("cannot be read as a PNG"):
         score([room], tmp_path)
 
 
@@ -280,16 +281,16 @@ def test_damaged_predictions(room, tmp_path):
 def test_damaged_peaks_are_named(room, tmp_path):
     write_truth(room, tmp_path)
     (tmp_path / "room" / "peaks.json").write_text('{"frame_00001": {"blue plate": [1]}}')
-    with pytest.raises(FormatError, match=r"peaks.json: frame_00001: 'blue plate'"):
+    with malformed(r"peaks.json: frame_00001: 'blue plate'"):
         score([room], tmp_path)
 
 
 def test_what_does_not_belong_together_is_refused(room, data, tmp_path):
     with pytest.raises(MismatchError, match="scores 300 Gaussians, the scene has 150"):
         predict(room, balls().subset(np.arange(150)), PERFECT, tmp_path)
-    with pytest.raises(InputError, match="predict before scoring"):
+    with refused("predict before scoring"):
         score([room], tmp_path)
-    with pytest.raises(InputError, match="at least one scene"):
+    with refused("at least one scene"):
         score([], tmp_path)
     label = next((data / "label" / "room").glob("*.json"))
     label.write_text(label.read_text().replace('"height": 72', '"height": 50'))
@@ -297,7 +298,7 @@ def test_what_does_not_belong_together_is_refused(room, data, tmp_path):
         read_lerf_scene(data, "room")
     label.rename(label.with_name("frame_00009.json"))
     label.with_name("frame_00009.json").write_text('{"info": {"width": 9, "height": 9}, "objects": []}')
-    with pytest.raises(InputError, match="no pose, first 'frame_00009'"):
+    with refused("no pose, first 'frame_00009'"):
         read_lerf_scene(data, "room")
 
 

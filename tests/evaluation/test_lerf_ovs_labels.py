@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from drsplat.errors import DrSplatError, FormatError, InputError
+from drsplat.errors import DrSplatError
 from drsplat.formats.lerf_ovs import fill_polygon, read_lerf_frame, read_lerf_labels
 from mutations import bounded_allocations, mutants, quota
+from refusing import malformed, refused
 
 few = settings(derandomize=True, max_examples=60)
 MUTANTS = quota(3_000)
@@ -106,7 +107,7 @@ def test_frames_are_sorted_and_a_folder_without_any_is_an_error(tmp_path):
     written(tmp_path)
     (tmp_path / "frame_00002.json").write_text('{"info":{"width":4,"height":3},"objects":[]}')
     assert [f.name for f in read_lerf_labels(tmp_path)] == ["frame_00002", "frame_00041"]
-    with pytest.raises(InputError, match="frame_XXXXX"):
+    with refused("frame_XXXXX"):
         read_lerf_labels(tmp_path / "none")
 
 
@@ -135,7 +136,7 @@ def changed(**fields: object) -> dict[str, object]:
     ],
 )  # fmt: skip
 def test_labels_that_are_wrong_are_named(record, message, tmp_path):
-    with pytest.raises(FormatError, match=message) as error:
+    with malformed(message) as error:
         read_lerf_frame(written(tmp_path, record))
     assert "frame_00041.json" in str(error.value)
 

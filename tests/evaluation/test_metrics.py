@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from drsplat.evaluation import scorers
@@ -30,7 +31,7 @@ def test_class_ious_by_hand():
 
 def test_class_ious_are_jaccard_scores():
     sklearn = pytest.importorskip("sklearn.metrics")
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     truth, predicted = rng.integers(1, 6, (2, 500))
     weights = rng.random(500)
     expected = sklearn.jaccard_score(truth, predicted, average=None, labels=[1, 2, 3, 4, 5], sample_weight=weights)
@@ -113,12 +114,12 @@ def test_correlations_ignore_scale_and_offset(values, scale, offset):
 def test_spearman_is_scipys():
     from scipy.stats import spearmanr
 
-    a, b = np.random.default_rng(0).integers(0, 6, (2, 20)).tolist()
+    a, b = default_rng(0).integers(0, 6, (2, 20)).tolist()
     assert scorers.spearman(a, b) == pytest.approx(spearmanr(a, b).statistic)
 
 
 def test_interval_holds_the_mean_and_narrows():
-    values = np.random.default_rng(1).normal(0.5, 0.1, 40).tolist()
+    values = default_rng(1).normal(0.5, 0.1, 40).tolist()
     low, high = scorers.mean_interval(values)
     assert low < np.mean(values) < high
     assert high - low < np.subtract(*scorers.mean_interval(values[:8])[::-1])

@@ -8,12 +8,13 @@ import pytest
 from hypothesis import settings
 from test_registration import capture, same
 
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.errors import MismatchError
 from drsplat.field import load_field
 from drsplat.field.evidence.aggregation import MEAN_RECORD, Sampling, aggregator
 from drsplat.field.registration import Registration, register
 from drsplat.formats.checksums import sealed
 from fields import toy_field
+from refusing import malformed, refused
 from scenes import random_gaussians
 
 few = settings(derandomize=True, max_examples=8)
@@ -58,7 +59,7 @@ def test_an_aggregator_for_another_sampling_is_refused(gaussians):
     ],
 )
 def test_samplings_that_make_no_sense_are_refused(given, said):
-    with pytest.raises(InputError, match=said):
+    with refused(said):
         Sampling(**given)
 
 
@@ -107,7 +108,7 @@ def test_fields_of_older_versions_are_of_means(tmp_path):
 )
 def test_a_damaged_record_is_refused(bad, tmp_path):
     write_manifest(tmp_path, saved_manifest(tmp_path) | {"aggregator": bad})
-    with pytest.raises(FormatError, match=r"a\.field"):
+    with malformed(r"a\.field"):
         load_field(tmp_path / "a.field")
 
 

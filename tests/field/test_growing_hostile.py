@@ -11,12 +11,13 @@ from safetensors import safe_open
 from safetensors.numpy import load, save
 
 from drsplat import load_field
-from drsplat.errors import DrSplatError, FormatError
+from drsplat.errors import DrSplatError
 from drsplat.field.codes import PQ, Mixture
 from drsplat.field.growing import add_views, remove_views
 from fields import as_version_2, without_checksums
 from growing_fields import at_once, features, files_of, scene, views
 from mutations import mutants, quota, seeded
+from refusing import malformed
 
 NAMES = tuple(view.name for view in views())
 MUTANTS = quota(150)
@@ -76,7 +77,7 @@ def test_manifests_that_do_not_say_how_it_was_made(name, value, said, tmp_path):
     (path / "field.json").write_text(json.dumps(manifest | {name: value}))
     field = load_field(path)
     assert field.scores(np.ones(8, np.float32)).shape == (len(field),)  # a search does not ask
-    with pytest.raises(FormatError, match=said):
+    with malformed(said):
         _ = field.growth
 
 
@@ -118,14 +119,14 @@ def test_arrays_that_do_not_fit_each_other(name, changed, said, tmp_path):
 def test_names_of_views_that_are_none(names, tmp_path):
     path = write(tmp_path, True)
     with_tensors(path, lambda _: None, learnt_from=names)
-    with pytest.raises(FormatError, match=r"growth|learnt_from"):
+    with malformed(r"growth|learnt_from"):
         _ = load_field(path).growth
 
 
 def test_a_missing_or_foreign_file_is_told(tmp_path):
     path = write(tmp_path, True)
     (path / "growth.safetensors").unlink()
-    with pytest.raises(FormatError, match=r"there is no growth\.safetensors"):
+    with malformed(r"there is no growth\.safetensors"):
         load_field(path)
     (path / "growth.safetensors").write_bytes(files(False)["growth.safetensors"])
     with pytest.raises(DrSplatError, match="was written with another field"):

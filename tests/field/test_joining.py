@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from drsplat import Gaussians, View
@@ -243,7 +244,7 @@ def test_relief_of_a_set_leaves_out_what_is_within():
 
 @given(st.integers(0, 10_000), st.integers(2, 10), st.lists(st.integers(0, 9), max_size=30))
 def test_a_set_that_changes_is_the_set_counted_anew(seed, count, changes):
-    outlines = Outlines.of(a_mesh(np.random.default_rng(seed), count))
+    outlines = Outlines.of(a_mesh(default_rng(seed), count))
     changed, members = PieceSet(outlines, np.array([0])), {0}
     for piece in changes:
         if piece < count and members ^ {piece}:
@@ -259,7 +260,7 @@ def test_a_set_that_changes_is_the_set_counted_anew(seed, count, changes):
 @given(st.integers(0, 10_000), st.integers(2, 10))
 def test_refining_ends_where_no_single_change_helps(seed, count):
     """Whatever set it begins with; and a set is never less than the seed that it is grown from."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     outlines, free = Outlines.of(a_mesh(rng, count)), np.ones(count + 1, bool)
     begun = PieceSet(outlines, grown(outlines, int(rng.integers(count)), free))
     ended = refined(outlines, begun.members, free)
@@ -298,7 +299,7 @@ def a_mesh(rng: np.random.Generator, count: int) -> Borders:
 @given(st.integers(0, 10_000), st.integers(2, 12))
 def test_sets_are_disjoint_and_follow_the_pieces(seed, count):
     """Whatever the pieces are called."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     mesh, sure = a_mesh(rng, count), rng.random(count + 1).astype(np.float32)
     found = join(mesh, sure)
     members = [member for joined in found for member in joined.members]

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drsplat import PQ, load_field, register
-from drsplat.errors import DrSplatWarning, InputError, MismatchError
+from drsplat.errors import DrSplatWarning, MismatchError
 from drsplat.field import LanguageField
 from drsplat.field.evidence.aggregation import Sampling
 from drsplat.field.evidence.columns import MovingScenery, part_name
@@ -20,6 +20,7 @@ from drsplat.scene.moving import Frames, Moving
 from drsplat.scene.views import View
 from growing_fields import features, files_of, scene, views
 from moving_scenes import still
+from refusing import refused
 
 TOP = Sampling(6)
 CODE = PQ(4)
@@ -110,12 +111,12 @@ def test_rows_that_are_not_there_at_a_time_are_not_seen_then():
 
 def test_a_view_without_a_time_is_told():
     some = [replace(view, time=None) if number == 3 else view for number, view in enumerate(timed())]
-    with pytest.raises(InputError, match=r"view '003\.png' has no time, and the scene moves: give times="):
+    with refused(r"view '003\.png' has no time, and the scene moves: give times="):
         register(sliding(), some, features(), TOP)
 
 
 def test_a_time_outside_of_the_span_is_told():
-    with pytest.raises(InputError, match="time 3 is outside of this scene's span"):
+    with refused("time 3 is outside of this scene's span"):
         register(sliding(), timed(np.full(7, 3.0)), features(), TOP)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 from test_objects_found import registered
@@ -29,7 +30,7 @@ from drsplat.formats.tiles import Tiles, read_tiles
 
 def row_of_things(count: int = 6, each: int = 150, seed: int = 0) -> tuple[ds.Gaussians, ds.LanguageField]:
     """Things along a line, and a plank under all of them, each with a mask in every view."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     things = rng.normal(0, 0.08, (count * each, 3)) + np.repeat(np.arange(count), each)[:, None] * [0.7, 0, 0]
     plank = rng.random((count * each, 3)) * [0.7 * count, 0.6, 0.02] - [0.35, 0.3, 0.5]
     owner = np.append(np.repeat(np.arange(count), each), np.full(count * each, count))
@@ -51,7 +52,7 @@ def divided(scene: ds.Gaussians, field: ds.LanguageField) -> Division:
 
 @given(st.integers(0, 10_000), st.integers(1, 300), st.integers(20, 400))
 def test_each_point_is_in_one_block_however_they_are_ordered(seed, count, most):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     points, counts = rng.integers(0, 9, (count, 3)).astype(np.float32), rng.integers(0, 20, count)
     blocks = in_blocks(points, counts, most)
     inside = np.array([block.away(points) == 0 for block in blocks])
@@ -97,7 +98,7 @@ def test_one_block_has_the_forest_of_the_whole(monkeypatch):
 def test_the_order_of_rows_changes_nothing(small_blocks):
     scene, field = row_of_things(seed=2)
     evidence, points = field.evidence, scene.means[field.gaussian_ids]
-    order = np.random.default_rng(3).permutation(len(evidence))
+    order = default_rng(3).permutation(len(evidence))
     one, other = finding.tree_of(evidence, points), finding.tree_of(evidence.rows(order), points[order])
     assert_array_equal(one.tree.node_of[order], other.tree.node_of)
     assert_array_equal(one.tree.parents, other.tree.parents)

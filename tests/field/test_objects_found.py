@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import Gaussians, LanguageField, Registration, View
@@ -45,7 +46,7 @@ def test_a_whole_that_masks_fit_is_better_than_its_halves():
 @given(st.integers(0, 10_000), st.integers(1, 11))
 def test_the_chosen_set_is_the_best_of_all(seed, count):
     """Against all sets of nodes of which none is above another."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     parents = np.array([rng.integers(k + 1, count + 1) if k < count - 1 else count for k in range(count)])
     parents = np.where(parents == count, -1, parents).astype(np.int32)
     worth = np.where(rng.random(count) < 0.2, -1.0, rng.random(count))
@@ -140,7 +141,7 @@ def clusters(rng: np.random.Generator, count: int, each: int) -> tuple[np.ndarra
 
 
 def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch):
-    owner, points = clusters(np.random.default_rng(0), 3, 200)
+    owner, points = clusters(default_rng(0), 3, 200)
     scene, field = registered(7, owner, points, 3)
     assert field.evidence is not None
     whole = field.evidence
@@ -158,7 +159,7 @@ def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch):
 
 
 def test_three_things_side_by_side_are_three_objects():
-    owner, points = clusters(np.random.default_rng(0), 3, 200)
+    owner, points = clusters(default_rng(0), 3, 200)
     scene, field = registered(4, owner, points, 3)
     objects = find_objects(field, scene)
     assert len(objects) == 3
@@ -172,14 +173,14 @@ def test_three_things_side_by_side_are_three_objects():
 
 @pytest.mark.parametrize("masks", [1, 2])
 def test_one_view_is_enough_to_say_something(masks):
-    owner, points = clusters(np.random.default_rng(1), masks, 100)
+    owner, points = clusters(default_rng(1), masks, 100)
     scene, field = registered(1, owner, points, masks)
     assert len(find_objects(field, scene)) == masks
 
 
 def test_many_masks_of_one_pixel_are_no_objects():
     """A mask for each Gaussian in each view: nothing belongs together, and nothing breaks."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     scene, field = registered(3, np.arange(400), rng.random((400, 3)), 400)
     objects = find_objects(field, scene)
     assert len(objects.node_of) == 400
@@ -187,7 +188,7 @@ def test_many_masks_of_one_pixel_are_no_objects():
 
 
 def test_a_field_without_evidence_says_what_to_do():
-    owner, points = clusters(np.random.default_rng(3), 2, 50)
+    owner, points = clusters(default_rng(3), 2, 50)
     scene, field = registered(2, owner, points, 2)
     with pytest.raises(InputError, match="without: register again"):
         find_objects(replace(field, evidence=None), scene)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.sparse import csr_array
 
 from drsplat.field.forest import PART, THING, check_forest
@@ -52,7 +53,7 @@ def things_of(tree: Tree) -> list[set[int]]:
 
 
 def test_a_print_and_the_rest_of_its_sheet_are_one_thing():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     tree = with_voted(pieces(), votes_of([photo_of(rng) for _ in range(6)]))
     assert things_of(tree) == [{1, 2}]
     assert (tree.levels == PART).sum() == 2
@@ -61,14 +62,14 @@ def test_a_print_and_the_rest_of_its_sheet_are_one_thing():
 
 
 def test_what_is_outlined_more_strongly_by_itself_stays_a_thing():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     strong = with_voted(pieces(), votes_of([photo_of(rng, sheet=0.5, inner=0.9) for _ in range(6)]))
     assert things_of(strong) == []
 
 
 def test_a_thing_and_the_ground_are_not_joined():
     """Their union is a node too, and reaches the photo's frame."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     tree = with_voted(pieces(), votes_of([photo_of(rng, sheet=0.2, inner=0.2, cup=0.1) for _ in range(6)]))
     assert things_of(tree) == []
 
@@ -81,7 +82,7 @@ def test_most_photos_decide():
         return RegionTree(tree.labels, pairs, tree.touching, tree.lengths, tree.strengths)
 
     for wrong, joined in ((2, [{1, 2}]), (5, [])):
-        rng = np.random.default_rng(1)
+        rng = default_rng(1)
         trees = [
             misled(tree) if number < wrong else tree for number, tree in enumerate(photo_of(rng) for _ in range(7))
         ]
@@ -89,7 +90,7 @@ def test_most_photos_decide():
 
 
 def test_the_order_of_photos_does_not_matter():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     trees = [photo_of(rng, *rng.uniform(0.3, 0.9, 3)) for _ in range(8)]
     one, other = (with_voted(pieces(), votes_of(some)) for some in (trees, trees[::-1]))
     for a, b in zip(one, other, strict=True):
@@ -97,7 +98,7 @@ def test_the_order_of_photos_does_not_matter():
 
 
 def test_photos_that_show_nothing_do_not_vote():
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     votes = votes_of([photo_of(rng) for _ in range(4)])()
     blind = [vote._replace(weights=csr_array(vote.weights.shape, dtype=np.float32)) for vote in votes[:2]]
     assert things_of(with_voted(pieces(), lambda: [*votes, *blind, *blind])) == [{1, 2}]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from test_embedding import a_view
 
@@ -34,7 +35,7 @@ def bounded_memory() -> Iterator[None]:
 
 def blocks(seed: int = 0, levels: int = 4, count: int = 9) -> np.ndarray:
     """Maps of large areas, as masks are."""
-    small = np.random.default_rng(seed).integers(-1, count, (levels, 6, 8))
+    small = default_rng(seed).integers(-1, count, (levels, 6, 8))
     return small.repeat(30, 1).repeat(30, 2).astype(np.int32)
 
 
@@ -44,7 +45,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("maps", [blocks(), blocks(1)[:, :7, :5].copy(), blocks(2, 1)[0]])
 def test_both_forms_hold_the_same_and_turn_into_each_other(maps, tmp_path):
-    rows = unit_rows(np.random.default_rng(1), 9, 16)
+    rows = unit_rows(default_rng(1), 9, 16)
     write_features(tmp_path / "theirs", "cam0/a", maps, rows)
     theirs = read_features(tmp_path / "theirs")
     write_features(tmp_path / "ours", "cam0/a", *theirs.stored("cam0/a"), form="compact")
@@ -61,7 +62,7 @@ def test_both_forms_hold_the_same_and_turn_into_each_other(maps, tmp_path):
 
 
 def test_alike_levels_are_kept_once_and_it_is_small(tmp_path):
-    rows = unit_rows(np.random.default_rng(1), 9, 16)
+    rows = unit_rows(default_rng(1), 9, 16)
     write_features(tmp_path, "four", blocks(), rows, form="compact")
     write_features(tmp_path, "one", np.stack([blocks()[3]] * 4), rows, form="compact")
     assert len(read_compact(tmp_path / f"four{COMPACT}").maps) == 4
@@ -72,7 +73,7 @@ def test_alike_levels_are_kept_once_and_it_is_small(tmp_path):
 
 
 def test_a_photo_in_two_forms_and_unknown_forms_are_refused(tmp_path):
-    rows = unit_rows(np.random.default_rng(1), 9, 16)
+    rows = unit_rows(default_rng(1), 9, 16)
     write_features(tmp_path, "a", blocks(), rows)
     theirs = files_of(tmp_path)
     with pytest.raises(InputError, match="another form"):
@@ -149,7 +150,7 @@ def test_inspect_tells_features_of_either_form(tmp_path, capsys):
 
 def hostile(path: Path, **changes: object) -> Path:
     """A sound file with some tensors or metadata replaced, and the right checksums."""
-    write_compact(path, blocks(), unit_rows(np.random.default_rng(1), 9, 4), overwrite=True)
+    write_compact(path, blocks(), unit_rows(default_rng(1), 9, 4), overwrite=True)
     tensors, about = map_tensors(path)
     arrays = {name: np.array(array) for name, array in tensors.items()}
     for name, value in changes.items():
@@ -198,7 +199,7 @@ def test_mutants_are_read_or_refused(tmp_path, bounded_memory, monkeypatch):
     without_checksums(path)
     monkeypatch.setattr(compact_features, "read_tensors", map_tensors)
     good, refused, count = path.read_bytes(), 0, quota(800)
-    for mutant in mutants(good, np.random.default_rng(0), count):
+    for mutant in mutants(good, default_rng(0), count):
         path.write_bytes(mutant)
         try:
             FeatureFolder(tmp_path, LEVELS.index("large"))["a"]

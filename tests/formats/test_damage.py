@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from drsplat import _native
@@ -29,7 +30,7 @@ FLIPS = quota(400)
 
 
 def saved_field(folder: Path, mixture: bool = False) -> Path:
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     evidence = random_evidence(rng)
     field = build_field(evidence, SCENE, TOY, Mixture(2) if mixture else PQ())
     field.with_negatives(unit_rows(rng, 2, 32), ("one", "two")).save(folder / "a.field")
@@ -44,7 +45,7 @@ def flipped(data: bytes, rng: np.random.Generator) -> bytes:
 
 def answers(field: LanguageField) -> list[object]:
     """Everything that a field says, as comparable values."""
-    queries = unit_rows(np.random.default_rng(5), 2, 32)
+    queries = unit_rows(default_rng(5), 2, 32)
     evidence = field.evidence
     arrays = (
         field.gaussian_ids, field.scores(queries), field.relevancy(queries[0]), evidence.weights.data,
@@ -59,7 +60,7 @@ def answers(field: LanguageField) -> list[object]:
 @pytest.mark.slow
 @pytest.mark.parametrize("mixture", [False, True])
 def test_a_flipped_bit_in_a_field_never_changes_an_answer(mixture, tmp_path):
-    path, rng = saved_field(tmp_path, mixture), np.random.default_rng(3)
+    path, rng = saved_field(tmp_path, mixture), default_rng(3)
     expected = answers(load_field(path))
     for file in sorted(path.iterdir()):
         good, refused = file.read_bytes(), 0
@@ -87,7 +88,7 @@ def test_damage_is_found_at_first_use_and_by_verify(tmp_path):
     load_field(path).verify()
     damage(path / "evidence.safetensors", "data")
     field = load_field(path)
-    assert len(field.top(unit_rows(np.random.default_rng(0), 1, 32)[0], 3).rows) == 3
+    assert len(field.top(unit_rows(default_rng(0), 1, 32)[0], 3).rows) == 3
     for use in (field.verify, lambda: field.evidence, lambda: field.explain(0, np.ones(32, "f4"))):
         with pytest.raises(FormatError, match=r"evidence.*'data' is not what was written.*register"):
             use()
@@ -196,7 +197,7 @@ def test_negatives_that_are_no_numbers_are_refused(tmp_path):
 
 
 def test_a_flipped_bit_in_a_tensor_file_is_noticed(tmp_path):
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     arrays = {"a": rng.random((40, 3)), "b": np.zeros((0, 3), "u1"), "c": np.arange(7, dtype="u2")}
     write_tensors(tmp_path / "a", arrays, {"key": "value \ud800"})
     good = (tmp_path / "a").read_bytes()
@@ -212,7 +213,7 @@ def test_a_flipped_bit_in_a_tensor_file_is_noticed(tmp_path):
 
 def test_a_codebook_of_ours_is_checked_whole(tmp_path):
     save_codebook(toy_field().codebook, tmp_path / "a")
-    good, rng = (tmp_path / "a").read_bytes(), np.random.default_rng(6)
+    good, rng = (tmp_path / "a").read_bytes(), default_rng(6)
     expected = load_codebook(tmp_path / "a")
     for _ in range(FLIPS):
         (tmp_path / "a").write_bytes(flipped(good, rng))
@@ -226,7 +227,7 @@ def test_a_codebook_of_ours_is_checked_whole(tmp_path):
 
 def test_sums_of_any_bytes_are_those_of_zlib():
     """Few bytes go by tables, many by products of polynomials; they may begin anywhere, and go on from others."""
-    content = np.random.default_rng(0).integers(0, 256, 70_000, np.uint8).tobytes()
+    content = default_rng(0).integers(0, 256, 70_000, np.uint8).tobytes()
     for size in (*range(200), 1023, 4096, len(content) - 1):
         for value in (0, 1, 0xFFFFFFFF, 0x12345678):
             part = memoryview(content)[size % 2 :][:size]

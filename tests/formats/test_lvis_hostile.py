@@ -10,6 +10,7 @@ from drsplat.errors import FormatError
 from drsplat.formats.lvis import Annotations, decode_runs, fill_polygon, read_annotations, unpack_counts
 from lvis_files import document
 from mutations import quota, seeded
+from refusing import malformed
 
 DECODED_PIXELS = 1 << 20  # masks of larger photos are only made beside a photo of that size
 
@@ -64,13 +65,13 @@ def test_text_of_runs(bounded_memory):  # noqa: F811
     ],
 )
 def test_counts_are_not_believed(bounded_memory, counts):  # noqa: F811
-    with pytest.raises(FormatError, match="here"):
+    with malformed("here"):
         decode_runs(np.array(counts, np.int64), 30, 40, "here")
 
 
 def test_images_without_end_take_no_memory(bounded_memory):  # noqa: F811
     """Runs that do not add up are refused before the image is allocated."""
-    with pytest.raises(FormatError, match="add up to 3 pixels"):
+    with malformed("add up to 3 pixels"):
         decode_runs(np.array([1, 2], np.int64), 60_000, 60_000, "here")
 
 
@@ -87,5 +88,5 @@ def test_path_tricks(tmp_path):
         content = document()
         content["images"][0][key] = name
         (tmp_path / "a.json").write_text(json.dumps(content))
-        with pytest.raises(FormatError, match=f"image 11: {key}"):
+        with malformed(f"image 11: {key}"):
             read_annotations(tmp_path / "a.json")

@@ -19,6 +19,7 @@ from drsplat.formats.scannet import (
     scene_file,
 )
 from mutations import bounded_allocations, mutants, quota
+from refusing import malformed, refused
 
 MUTANTS = quota(3_000)
 SEGMENTS = {"sceneId": "s", "segIndices": [7, 7, 3, 9, 3, 9]}
@@ -79,12 +80,12 @@ def test_segments_of_another_mesh_are_refused(scene):
 
 
 def test_files_that_are_not_there_are_named(scene):
-    with pytest.raises(InputError, match=r"scene0000_00\.txt.*found none"):
+    with refused(r"scene0000_00\.txt.*found none"):
         scene_file(scene, ".txt")
-    with pytest.raises(InputError, match="folder of a ScanNet scene"):
+    with refused("folder of a ScanNet scene"):
         scene_file(scene / "x", ".txt")
     for read in (read_scannet_labels, read_label_table):
-        with pytest.raises(InputError, match="no such file"):
+        with refused("no such file"):
             read(scene / "nothing")
 
 
@@ -110,7 +111,7 @@ def edited(group: int, **fields: object) -> str:
 def test_wrong_instances_are_named(ending, content, message, scene):
     path = scene_file(scene, ending)
     path.write_text(content)
-    with pytest.raises(FormatError, match=message) as error:
+    with malformed(message) as error:
         read_scannet_instances(scene_file(scene, ".segs.json"), scene_file(scene, ".aggregation.json"))
     assert path.name in str(error.value)
 
@@ -127,7 +128,7 @@ def test_wrong_instances_are_named(ending, content, message, scene):
 def test_wrong_clouds_are_named(old, new, message, tmp_path):
     path = tmp_path / "a.ply"
     path.write_bytes(ply_bytes().replace(old, new, 1))
-    with pytest.raises(FormatError, match=f"a.ply: .*{message}"):
+    with malformed(f"a.ply: .*{message}"):
         read_scannet_labels(path)
 
 
@@ -135,7 +136,7 @@ def test_positions_must_be_finite(tmp_path):
     path, data = tmp_path / "a.ply", ply_bytes()
     start = data.index(b"end_header\n") + 11 + 2 * 18  # the third vertex
     path.write_bytes(data[:start] + np.float32(np.nan).tobytes() + data[start + 4 :])
-    with pytest.raises(FormatError, match="vertex 2: expected a finite"):
+    with malformed("vertex 2: expected a finite"):
         read_scannet_labels(path)
 
 
@@ -152,7 +153,7 @@ def test_positions_must_be_finite(tmp_path):
 def test_wrong_tables_are_named(text, message, tmp_path):
     path = tmp_path / "table.tsv"
     path.write_text(text)
-    with pytest.raises(FormatError, match=message):
+    with malformed(message):
         read_label_table(path)
 
 
@@ -232,5 +233,5 @@ def test_sets_from_files(text, message, tmp_path):
 
 
 def test_unknown_set_lists_the_known_ones():
-    with pytest.raises(InputError, match="scannet19"):
+    with refused("scannet19"):
         label_set("scannet21")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from command_line import answer_of
@@ -37,7 +38,7 @@ ALLOWANCE = 48 << 20
 
 def labelled(count: int = 40, names: tuple[str, ...] = NAMES) -> LabelledScene:
     """Make a scene with everything that a file can carry, none of it at zero or upright."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     gaussians = replace(random_gaussians(rng, count), origin=np.array([5e5, 4e6, 100.25]))
     unit = np.array([0.6, 0.8], np.float32)
     things = tuple(
@@ -100,7 +101,7 @@ def test_a_scene_comes_back_with_everything(suffix, tmp_path):
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("degree", range(4))
 def test_each_degree_comes_back(degree, suffix, tmp_path):
-    gaussians = replace(random_gaussians(np.random.default_rng(degree), 9, degree), antialiased=degree == 2)
+    gaussians = replace(random_gaussians(default_rng(degree), 9, degree), antialiased=degree == 2)
     path = tmp_path / f"out{suffix}"
     needs_library(path)
     write_scene(path, LabelledScene(gaussians))
@@ -111,7 +112,7 @@ def test_each_degree_comes_back(degree, suffix, tmp_path):
 
 def test_blocks_of_rows_meet(tmp_path):
     """4,096 rows are text at once, and 4 MiB of text numbers; a row more than one of each."""
-    gaussians = random_gaussians(np.random.default_rng(1), 9_000)
+    gaussians = random_gaussians(default_rng(1), 9_000)
     write_scene(tmp_path / "out.usda", LabelledScene(gaussians))
     assert (tmp_path / "out.usda").stat().st_size > 6 << 20
     assert_equal(read_gaussians(tmp_path / "out.usda"), gaussians)
@@ -200,7 +201,7 @@ def test_we_read_what_nvidias_converter_writes(suffix, tmp_path):
     if not program.exists() or shutil.which("usd-convert-gsplat", path=str(program.parent)) is None:
         pytest.skip("usd-convert-gsplat is not installed")
     pytest.importorskip("pxr")
-    gaussians = random_gaussians(np.random.default_rng(3), 50, 2)
+    gaussians = random_gaussians(default_rng(3), 50, 2)
     (tmp_path / "in.ply").write_bytes(ply_bytes(ply_columns(gaussians)))
     command = [str(program), "-i", str(tmp_path / "in.ply"), "-o", str(tmp_path / f"made{suffix}")]
     subprocess.run(command, check=True, capture_output=True)
@@ -211,7 +212,7 @@ def library_stage(path: Path, halves: bool = False, degree: int = 1) -> Gaussian
     """Write three Gaussians with OpenUSD's own classes, as half-precision numbers where `halves`."""
     from pxr import Gf, Usd, UsdGeom, UsdVol, Vt
 
-    gaussians = random_gaussians(np.random.default_rng(4), 3, 3)
+    gaussians = random_gaussians(default_rng(4), 3, 3)
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, "Z")
     UsdGeom.Mesh.Define(stage, "/World/table")
@@ -468,7 +469,7 @@ def test_writing_takes_the_memory_of_a_block(tmp_path):
     """Twice the Gaussians take no more than a little more memory: rows are text some thousand at a time."""
     peaks = []
     for count in (5_000, 15_000):
-        scene = LabelledScene(random_gaussians(np.random.default_rng(0), count))
+        scene = LabelledScene(random_gaussians(default_rng(0), count))
         tracemalloc.start()
         write_scene(tmp_path / "out.usda", scene, overwrite=True)
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -480,7 +481,7 @@ def test_writing_takes_the_memory_of_a_block(tmp_path):
 def test_what_no_file_could_give_back_is_refused(suffix, tmp_path):
     path = tmp_path / f"out{suffix}"
     needs_library(path)
-    gaussians = random_gaussians(np.random.default_rng(0), 3)
+    gaussians = random_gaussians(default_rng(0), 3)
     gaussians.sh[1, 0, 0] = np.nan
     with pytest.raises(InputError, match=r"the first is row 1"):
         write_scene(path, LabelledScene(gaussians))

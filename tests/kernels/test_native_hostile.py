@@ -11,6 +11,7 @@ import weakref
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from drsplat import _native
 from drsplat.kernels.mixture import Candidates, Dictionary, mixture_encode
@@ -68,7 +69,7 @@ def test_encoding_ends_where_every_atom_is_dropped():
 
 def test_features_of_any_length_are_encoded():
     """Squares of these leave float32; nothing is promised but an end."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     atoms = rng.integers(-127, 128, (8, 4)).astype(np.int8)
     given = Candidates(np.array([0, 8]), np.arange(8, dtype=np.int32), np.empty((1, 0), np.int32))
     for length in (1e-45, 1e-20, 1e20, 3e38):
@@ -78,7 +79,7 @@ def test_features_of_any_length_are_encoded():
 
 
 def training_pass(count: int) -> _native.TrainingPass:
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     camera = np.zeros(17, np.float32)
     camera[[0, 4, 8]], camera[12:14], camera[14:] = 1, 60, (40, 30, 0.2)
     shapes = (count, 3), (count, 3), (count, 4), (count,), (count, 4, 3)
@@ -149,7 +150,7 @@ def lent(parts: tuple) -> tuple:
 
 
 def test_what_a_scan_reads_is_held_until_its_end():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     codes, ids = rng.integers(0, 256, (2, 8, 256), np.uint8), rng.integers(0, 9, 500, np.uint16)
     rows = codes, rng.random(500, np.float32) + 1, ids
     tables = rng.random((3, 8, 256), np.float32), rng.random((3, 9), np.float32)
@@ -160,7 +161,7 @@ def test_what_a_scan_reads_is_held_until_its_end():
 
 
 def test_what_a_mixture_scan_reads_is_held_until_its_end():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     ids, weights = (rng.integers(0, 20, (3, 4, 64), np.uint16), rng.integers(1, 256, (3, 4, 64), np.uint8))
     scales = rng.uniform(1, 2, 150).astype(np.float16).view(np.uint16)
     parts = ids, weights, scales, rng.integers(1, 100, (20, 6), np.int8), np.ones(20, np.float32)

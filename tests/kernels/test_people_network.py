@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.errors import InputError
 from drsplat.kernels import photo_regions
 from drsplat.kernels.photo_regions import Layers
 from drsplat.kernels.splats import available_isas
 from drsplat.photos.models.people.finding import shipped_layers
+from refusing import refused
 from twins import people_network
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
@@ -58,11 +58,11 @@ def test_the_shipped_network_is_the_twins():
 
 @pytest.mark.parametrize("shape", [(32, 33, 3), (33, 16, 3), (0, 17, 3)])
 def test_other_sides_are_refused(shape):
-    with pytest.raises(InputError, match="network: expected"):
+    with refused("network: expected"):
         photo_regions.people(np.zeros(shape, np.uint8), made_up_layers())
 
 
 @pytest.mark.parametrize("cut", [slice(2, None), slice(None, -2), slice(0, 0), slice(None, None, -1)])
 def test_layers_that_do_not_fit_are_refused(cut):
-    with pytest.raises(InputError, match="network: expected"):
+    with refused("network: expected"):
         photo_regions.people(noise(0, 17, 17), made_up_layers()[cut])

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from test_capture import differences, has_colmap
 
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.errors import MismatchError
 from drsplat.formats.captures import read_views
 from drsplat.photos.capture.capturing import capture
 from drsplat.photos.capture.finding import find_photos
@@ -16,6 +16,7 @@ from drsplat.photos.capture.settings import CaptureSettings
 from drsplat.scene.photo_masks import load_mask
 from drsplat.scene.photos import load_image
 from photographed_room import HEIGHT, WIDTH, exif_of, jpeg, photographed, room_views
+from refusing import malformed, refused
 
 GRIPPER_ROWS = slice(HEIGHT // 2, HEIGHT)  # which moves with the camera
 CORNER = np.pad(np.full((10, 10), 255, np.uint8), ((0, 50), (0, 70)))  # white at the upper left of 80 x 60
@@ -51,7 +52,7 @@ def test_what_a_robot_holds_before_its_camera_is_left_out(tmp_path):
     assert turned < 0.5
     with Image.open(tmp_path / "capture/masks/photo_03.jpg.png") as kept:
         assert np.array_equal(np.asarray(kept), 255 - mask)
-    with pytest.raises(InputError, match="too little movement"):  # of what is held alone
+    with refused("too little movement"):  # of what is held alone
         capture(tmp_path / "photos", tmp_path / "other", CaptureSettings(), threads=2)
 
 
@@ -84,12 +85,12 @@ def test_masks_are_turned_with_their_photos(orientation, upright, tmp_path):
 def test_masks_that_fit_no_photo_are_errors(tmp_path):
     (tmp_path / "masks").mkdir()
     Image.fromarray(CORNER).resize((160, 120)).save(tmp_path / "a.jpg")
-    with pytest.raises(InputError, match="no mask in it has a photo's name"):
+    with refused("no mask in it has a photo's name"):
         find_photos(tmp_path)
     with pytest.raises(MismatchError, match="the mask is 160x120, its photo 80x80"):
         bring_mask(tmp_path / "a.jpg", tmp_path / "b.png", (80, 80), 1, False)
     (tmp_path / "masks/a.png").write_text("no mask")
-    with pytest.raises(FormatError, match="cannot be read as a mask"):
+    with malformed("cannot be read as a mask"):
         bring(find_photos(tmp_path)[0], tmp_path)
 
 

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from drsplat.errors import InputError
 from drsplat.fronts.commands.capture import LENSES as LENSES_OF_THE_VERB
 from drsplat.photos.capture.capturing import capture_names
 from drsplat.photos.capture.finding import are_numbered, find_photos, in_order
 from drsplat.photos.capture.photos import APPLE_SIGNATURE, ExifFacts, Photo, bring, exif_facts, sharpness, turned_down
 from drsplat.photos.capture.settings import LENSES
 from drsplat.photos.capture.turning import Reasons
+from refusing import refused
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (80, 100, 3), np.uint8)
 EXIF_IFD, GPS_IFD, ORIENTATION, MAKER_NOTE = 0x8769, 0x8825, 0x0112, 37500
@@ -134,9 +134,9 @@ def test_photos_are_found_in_the_order_of_their_numbers(tmp_path):
 
 
 def test_folders_without_photos_are_refused(tmp_path):
-    with pytest.raises(InputError, match="there is no photo in it"):
+    with refused("there is no photo in it"):
         find_photos(tmp_path)
-    with pytest.raises(InputError, match="there is no such file or folder; expected a folder of photos or a video"):
+    with refused("there is no such file or folder; expected a folder of photos or a video"):
         find_photos(tmp_path / "none")
 
 

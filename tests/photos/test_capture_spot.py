@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from drsplat.errors import DrSplatWarning, InputError
 from drsplat.photos.capture.capturing import capture
@@ -55,7 +56,7 @@ def pairs_of(
     guesses: Sequence[float] | None = None, wrong: float = 0.05,
 ) -> list[Matches]:  # fmt: skip
     """Matches of all pairs of photos that overlap, some of them wrong."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     all_focals = np.broadcast_to(focals, len(cameras))
     guessed = np.full(len(cameras), GUESS) if guesses is None else np.asarray(guesses)
     photos = [seen(points, camera, f, k1, rng) for camera, f in zip(cameras, all_focals, strict=True)]
@@ -72,13 +73,13 @@ def pairs_of(
 
 def scene(seed: int = 0) -> np.ndarray:
     """Points of all depths, in front of cameras near the origin that look along +z."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     depths = rng.uniform(2, 6, (6000, 1))
     return np.hstack([rng.uniform(-2, 2, (6000, 2)), np.ones((6000, 1))]) * depths
 
 
 def wall(seed: int = 0) -> np.ndarray:
-    return np.hstack([np.random.default_rng(seed).uniform(-6, 6, (20000, 2)), np.full((20000, 1), 2.0)])
+    return np.hstack([default_rng(seed).uniform(-6, 6, (20000, 2)), np.full((20000, 1), 2.0)])
 
 
 TURNS = [turned(yaw, pitch) for yaw in (-16, -8, 0, 8, 16) for pitch in (-5, 5)]
@@ -90,7 +91,7 @@ def spot(place: Sequence[float] = (0, 0, 0)) -> list[Camera]:
 
 def along(tilt: float = 0.0, near: float = 0.0) -> list[Camera]:
     """Cameras along a wall, each tilted and nearer or farther than the one before."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     places = [(x, rng.normal(0, 0.1), rng.normal(0, near)) for x in np.linspace(-1, 1, 10)]
     return [(turned(*rng.normal(0, tilt, 3)), np.array(place)) for place in places]
 
@@ -108,7 +109,7 @@ def test_a_long_lens_that_turns_is_not_told_from_one_that_is_shifted():
 
 def test_a_fisheye_that_turns_is_doubtful_at_least():
     """Pixels from the middle are focal lengths times the angle, as COLMAP's lens without distortion."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     directions = rng.normal(size=(20000, 3))
     photos = []
     for rotation, _ in spot():
@@ -124,7 +125,7 @@ def test_a_fisheye_that_turns_is_doubtful_at_least():
 
 
 def test_a_panorama_all_around_is_a_turn():
-    points = np.random.default_rng(0).normal(size=(20000, 3)) * np.random.default_rng(1).uniform(1, 9, (20000, 1))
+    points = default_rng(0).normal(size=(20000, 3)) * default_rng(1).uniform(1, 9, (20000, 1))
     cameras = [(turned(yaw, 5 * (-1) ** k), np.zeros(3)) for k, yaw in enumerate(range(0, 360, 18))]
     assert turning(pairs_of(cameras, points, 0.7), False) == (1.0, True)
 
@@ -161,7 +162,7 @@ def test_half_of_the_photos_may_be_from_one_spot(elsewhere):
 
 def test_what_stands_still_in_the_picture_says_nothing():
     """A camera that never moved, and what a robot holds before its camera while it moves."""
-    held = np.random.default_rng(3).uniform(-0.3, 0.3, (2, 500, 2)) * [[[1, 0.2]]]
+    held = default_rng(3).uniform(-0.3, 0.3, (2, 500, 2)) * [[[1, 0.2]]]
     held[1] = held[0] + 0.001
     focals = np.full((2, 1, 1), GUESS)
     assert turning([(held, focals)] * 10, False) == (0.0, False)
@@ -176,7 +177,7 @@ def test_too_few_pairs_say_nothing(count):
 
 @pytest.mark.parametrize("bend", [-0.4, -0.1, 0.0, 0.2])
 def test_places_are_the_inverse_of_rays(bend):
-    places, focal = np.random.default_rng(0).uniform(-0.5, 0.5, (1, 50, 2)), np.full((1, 1, 1), 0.7)
+    places, focal = default_rng(0).uniform(-0.5, 0.5, (1, 50, 2)), np.full((1, 1, 1), 0.7)
     assert _places(_rays(places, focal, bend), focal, bend) == pytest.approx(places, abs=1e-12)
 
 

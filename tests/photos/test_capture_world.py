@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from drsplat.formats.georeference import read_georeference, write_georeference
@@ -56,7 +57,7 @@ def tilt(found: World) -> float:
 
 
 def with_gps(views: Sequence[View], noise: float, seed: int = 0, wrong: int = 0) -> dict[str, ExifFacts]:
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     offsets = np.array([view.center for view in views]) + rng.normal(0, noise, (len(views), 3))
     offsets[:wrong] += 300
     places = geodetic(ORIGIN, offsets)
@@ -135,12 +136,12 @@ def test_a_known_scale_makes_metres():
     found = world(ring(3.0), depth=0.9)
     scaled = with_scale(found, 0.5, "scale")
     assert (scaled.unit, scaled.scale_from) == ("m", "scale")
-    points = np.random.default_rng(1).normal(size=(5, 3))
+    points = default_rng(1).normal(size=(5, 3))
     assert_allclose(scaled.similarity.positions(points), 0.5 * found.similarity.positions(points))
 
 
 def test_a_similarity_is_found_again():
-    points = np.random.default_rng(0).normal(size=(20, 3))
+    points = default_rng(0).normal(size=(20, 3))
     found = umeyama(points, HIDDEN.positions(points))
     assert found.scale == pytest.approx(HIDDEN.scale)
     assert_allclose(found.rotation, HIDDEN.rotation, atol=1e-9)

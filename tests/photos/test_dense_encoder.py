@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from PIL import Image
 
@@ -20,7 +21,7 @@ from drsplat.scene.masks.masks import Masks, cut_masks
 from tiny_encoders import PATCH, SIDE, write_model
 
 ALONG = SIDE // PATCH
-PHOTO = np.random.default_rng(0).integers(0, 256, (24, 40, 3), np.uint8)
+PHOTO = default_rng(0).integers(0, 256, (24, 40, 3), np.uint8)
 TEXTS = ["a red mug", "the table", "mug"]
 
 
@@ -28,7 +29,7 @@ def some_masks(height: int = 24, width: int = 40, seed: int = 1) -> Masks:
     """All of the image, a part of it, a single pixel, and any pixels."""
     full = np.zeros((4, height, width), bool)
     full[0], full[1, 3:11, 5:19], full[2, height - 1, width - 1] = True, True, True
-    full[3] = np.random.default_rng(seed).random((height, width)) < 0.3
+    full[3] = default_rng(seed).random((height, width)) < 0.3
     return cut_masks(full, np.ones(4, np.float32))
 
 
@@ -141,7 +142,7 @@ def test_finer_patches_by_larger_images(folder, tmp_path):
 @given(st.integers(1, 30), st.integers(1, 30), st.integers(0, 2**32 - 1), st.integers(1, 9))
 def test_coverage_keeps_the_area_of_larger_images(rows, columns, seed, along):
     height, width = rows * along, columns * along
-    mask = np.random.default_rng(seed).random((height, width)) < 0.5
+    mask = default_rng(seed).random((height, width)) < 0.5
     shares = coverage(cut_masks(mask[None], np.ones(1, np.float32)), 0, along)
     expected = mask.reshape(along, rows, along, columns).mean((1, 3))
     assert_allclose(shares, expected, atol=1e-5)

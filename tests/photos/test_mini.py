@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from world.mini.augment import cut_out
 from world.mini.texts import bank, said_of, truth
 
 from drsplat import Scene
-from drsplat.errors import InputError
 from drsplat.field import build_field
 from drsplat.photos.models.loading import load_encoder
 from drsplat.photos.models.mini import MiniEncoder
@@ -34,6 +34,7 @@ from drsplat.photos.models.word_list import NOUNS, broad_list
 from drsplat.scene.encoders import Encoder, ImageEncoder
 from drsplat.scene.masks.crops import crop
 from fields import SCENE, random_evidence
+from refusing import refused
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,7 @@ def plain_convolution(x: np.ndarray, weight: np.ndarray, bias: np.ndarray, strid
 
 
 def test_the_network_is_that_of_plain_loops():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     channels = (3, 4, 5, 4, 6, 5, 4, 3)
     weights: dict[str, np.ndarray] = {"projection": rng.normal(size=(6, 7)).astype(np.float32)}
     for i, (a, b) in enumerate(itertools.pairwise(channels)):
@@ -81,7 +82,7 @@ def test_the_network_is_that_of_plain_loops():
 
 
 def test_images_do_not_depend_on_their_batch(mini):
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     images = [rng.integers(0, 256, (side, side, 3), np.uint8) for side in rng.integers(5, 200, 70)]
     together = mini.encode_images(images)
     assert_allclose(np.linalg.norm(together, axis=1), 1, atol=1e-5)
@@ -116,12 +117,12 @@ def test_plurals(word, singular):
 
 @pytest.mark.parametrize("text", ["elephant", "red elephant", "the", "", "mug 3 xyzzy"])
 def test_what_it_was_not_taught_is_an_error(mini, text):
-    with pytest.raises(InputError, match=r"not taught|no word"):
+    with refused(r"not taught|no word"):
         mini.encode_texts([text])
 
 
 def test_a_near_miss_is_helped(mini):
-    with pytest.raises(InputError, match=r"'tabel'.*Did you mean 'table'"):
+    with refused(r"'tabel'.*Did you mean 'table'"):
         mini.encode_texts(["tabel"])
 
 
@@ -151,7 +152,7 @@ def test_swapped_texts_have_the_colour_or_the_thing_and_not_both():
     ],
 )
 def test_other_languages_are_named(mini, text, said):
-    with pytest.raises(InputError, match=said):
+    with refused(said):
         mini.encode_texts([text])
 
 
@@ -200,7 +201,7 @@ def test_every_word_has_its_row(mini):
 
 
 def test_a_field_of_it_is_asked_without_further_options(mini):
-    evidence = random_evidence(np.random.default_rng(0), dim=DIM)
+    evidence = random_evidence(default_rng(0), dim=DIM)
     field = build_field(evidence, SCENE, mini.identity)
     answer = Scene(field).ask("red mugs")
     assert (answer.measure, answer.rule) == ("relevancy", "list")
@@ -222,7 +223,7 @@ def test_it_tells_painted_shapes_apart(mini):
 
 
 def test_what_is_said_of_a_thing_is_true():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     for name in NAMES:
         label = (name, COLORS[rng.integers(len(COLORS))], MATERIALS[rng.integers(len(MATERIALS))])
         assert (truth([label], [said_of(label, rng) for _ in range(40)]) == 1).all()
@@ -245,14 +246,14 @@ def test_the_loss_is_over_what_is_known():
 
 
 def test_most_random_texts_are_not_true_of_a_thing():
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     texts = bank(2_000, rng)
     assert {word for text in texts for word in text} <= set(WORDS)
     assert 0.01 < truth([("mug", "red", "ceramic")], texts).mean() < 0.2
 
 
 def test_learned_crops_are_cut_as_masks_are_embedded():
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     image = rng.integers(0, 256, (96, 96, 3), np.uint8)
     mask = np.zeros((96, 96), bool)
     mask[10:50, 30:93] = rng.random((40, 63)) < 0.7

@@ -17,9 +17,10 @@ import pytest
 from numpy.testing import assert_allclose
 from test_sam import run_alone
 
-from drsplat.errors import FormatError, InputError, MissingExtraError
+from drsplat.errors import MissingExtraError
 from drsplat.photos.models import open_clip_encoder, pretrained
 from drsplat.photos.models.loading import load_encoder
+from refusing import malformed, refused
 
 torch = pytest.importorskip("torch", reason="needs torch")
 pytest.importorskip("transformers", reason="needs transformers")
@@ -120,9 +121,9 @@ def test_identity_is_of_weights_and_the_size_that_the_model_takes(library, folde
 def test_texts_that_are_too_long(library, folder):
     encoder = tiny(folder)
     assert encoder.encode_texts(["one red mug"]).shape == (1, DIM)  # with both ends as many as it reads
-    with pytest.raises(InputError, match="'one very red mug' has more than the 5 tokens"):
+    with refused("'one very red mug' has more than the 5 tokens"):
         encoder.encode_texts(["mug", "one very red mug"])
-    with pytest.raises(InputError, match="is empty"):
+    with refused("is empty"):
         encoder.encode_texts([" "])
 
 
@@ -144,18 +145,18 @@ def test_folders_that_are_not_the_librarys(library, folder):
     weights = folder / "open_clip_model.safetensors"
     whole = weights.read_bytes()
     weights.write_bytes(whole[:-1])
-    with pytest.raises(FormatError, match="damaged or incomplete"):
+    with malformed("damaged or incomplete"):
         tiny(folder)
     weights.unlink()
     (folder / "open_clip_pytorch_model.bin").write_bytes(b"pickle")
-    with pytest.raises(InputError, match="Convert it once"):
+    with refused("Convert it once"):
         tiny(folder)
     (folder / "open_clip_config.json").write_text(json.dumps({"model_cfg": {}}))
     weights.write_bytes(whole)
-    with pytest.raises(FormatError, match="embed_dim"):
+    with malformed("embed_dim"):
         tiny(folder)
     (folder / "open_clip_config.json").unlink()
-    with pytest.raises(InputError, match=r"no open_clip_config\.json"):
+    with refused(r"no open_clip_config\.json"):
         tiny(folder)
 
 
@@ -163,7 +164,7 @@ def test_weights_of_another_model(library, folder):
     from safetensors.torch import save_file
 
     save_file({"other": torch.zeros(3)}, folder / "open_clip_model.safetensors")
-    with pytest.raises(FormatError, match="do not make a model of open_clip"):
+    with malformed("do not make a model of open_clip"):
         tiny(folder)
 
 

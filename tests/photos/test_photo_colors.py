@@ -5,6 +5,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import load
 from scipy.sparse import csr_array, eye_array
@@ -32,7 +33,7 @@ def disc(color: tuple[int, int, int], shade: float = 1.0) -> np.ndarray:
     """Return the crop of a round thing whose lower part is darker."""
     y, x = np.mgrid[:SIDE, :SIDE] / SIDE
     light = np.where(y > 0.55, shade, 1.0)[..., None]
-    noise = np.random.default_rng(0).normal(0, 4, (SIDE, SIDE, 3))
+    noise = default_rng(0).normal(0, 4, (SIDE, SIDE, 3))
     pixels = np.clip(np.array(color) * light + noise, 0, 255)
     return np.where(((x - 0.5) ** 2 + (y - 0.5) ** 2 < 0.2)[..., None], pixels, 0).astype(np.uint8)
 
@@ -128,13 +129,13 @@ def test_light_changes_no_label():
     pixels, mask = np.full((20, 20, 3), (180, 20, 30), np.uint8), np.ones((20, 20), bool)
     pixels[:10] = 255
     assert COLORS[int(wanted((pixels, mask)).argmax())] == "red"
-    lit, same = in_other_light((pixels, mask), np.random.default_rng(1))
+    lit, same = in_other_light((pixels, mask), default_rng(1))
     assert same is mask
     assert not np.array_equal(lit, pixels)
 
 
 def test_fitted_vectors_tell_colours_apart():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     middles = np.eye(len(COLORS), 16) + 0.5
     rows = np.repeat(np.arange(len(COLORS)), [5] * 10 + [400])  # the last colour is far more frequent
     pictures = middles[rows] + rng.normal(0, 0.1, (len(rows), 16))

@@ -12,7 +12,7 @@ from PIL import Image
 import drsplat as ds
 from drsplat import Scene, cli
 from drsplat.authoring.exporting.masking import draw_features
-from drsplat.errors import DrSplatWarning, InputError
+from drsplat.errors import DrSplatWarning
 from drsplat.field.objects.finding import find_objects
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.photos.embedding import objects_first
@@ -20,6 +20,7 @@ from drsplat.photos.embedding.voting import vote_for_objects
 from drsplat.photos.models.outlines import region_tree
 from drsplat.photos.models.outlines.regions import basins
 from drsplat.scene.masks.masks import LEVELS
+from refusing import refused
 from scenes import look_at_view
 from toy_capture import PER_THING, balls
 
@@ -101,9 +102,9 @@ def test_the_result_is_the_same_at_any_number_of_threads_and_from_kept_parts(sce
 
 
 def test_photos_of_something_else_are_refused(scene, photos, halves, tmp_path):
-    with pytest.raises(InputError, match=r"none of 0 photos is of this field, whose photos are named like '0.png'"):
+    with refused(r"none of 0 photos is of this field, whose photos are named like '0.png'"):
         vote_for_objects(halves, scene, [replace(view, image_path=None) for view in photos], parts=tmp_path)
-    with pytest.raises(InputError, match="keeps its evidence"):
+    with refused("keeps its evidence"):
         vote_for_objects(replace(halves, evidence=None, growth=None), scene, photos, parts=tmp_path)
 
 
@@ -208,7 +209,7 @@ def test_drawn_masks_stay_until_objects_or_masks_of_photos_change(voted, photos,
     assert (again.stored(changed)[0][:, :, 1::2] >= 0).any()
     assert scene.field.objects is not None
     fewer = Scene(scene.field.with_objects(None), scene.gaussians, scene.views)
-    with pytest.raises(InputError, match="nobody has looked for objects"):
+    with refused("nobody has looked for objects"):
         draw_features(tmp_path / "none", fewer, scene.views)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array, eye_array
 
@@ -42,7 +43,7 @@ class World:
     the word's own level."""
 
     def __init__(self, words: int, seed: int = 0) -> None:
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         self.rng, basis = rng, np.linalg.qr(rng.normal(size=(DIM, DIM)))[0].astype(np.float32)
         self.pictures_axis, self.texts_axis = basis[0], basis[1]
         self.meanings = unit_rows(rng, words, DIM - 2) @ basis[2:]
@@ -118,7 +119,7 @@ def test_the_same_by_hand(world, scene):
 
 def test_a_synonym_in_the_list_does_not_compete(world, scene):
     field, truth = scene
-    other = world.texts[1] + 0.2 * unit_rows(np.random.default_rng(3), 1, DIM)[0]
+    other = world.texts[1] + 0.2 * unit_rows(default_rng(3), 1, DIM)[0]
     other = (other / np.linalg.norm(other)).astype(np.float32)
     texts = np.concatenate([world.texts, other[None]])
     centred = texts - texts.mean(0)
@@ -131,7 +132,7 @@ def test_a_synonym_in_the_list_does_not_compete(world, scene):
 def test_a_word_has_to_be_among_the_best_of_every_three_hundred(scene):
     """Three words of 900 are better everywhere: the third decides."""
     field, _ = scene
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     texts = unit_rows(rng, 3 * WORDS_PER_RIVAL, DIM)
     known, query_vector = contrast(field, texts), unit_rows(rng, 1, DIM)[0]
     scores = field.scores(texts) - (texts @ known.usual)[:, None]
@@ -205,7 +206,7 @@ def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene():
 def test_a_row_that_stands_for_several_counts_as_these():
     world = World(400)
     features, pictures = world.pictures(np.arange(30)), world.pictures(np.arange(50))
-    counts = np.random.default_rng(1).integers(1, 200, 30)
+    counts = default_rng(1).integers(1, 200, 30)
     short = replace(contrast_of(features, world.texts, pictures=pictures), counts=counts)
     long = contrast_of(np.repeat(features, counts, axis=0), world.texts, pictures=pictures)
     assert (short.num_rows, short.peak, short.spread) == (long.num_rows, long.peak, long.spread)
@@ -254,7 +255,7 @@ def test_the_list_that_is_kept_with_the_field_takes_the_place_of_a_vocabulary(wo
 
 def test_large_vocabularies_are_thinned():
     texts = [*(f"word {number}" for number in range(3000)), *NOUNS[:20]]
-    large = VocabularyEncoder(CLIP, texts, unit_rows(np.random.default_rng(0), len(texts), DIM))
+    large = VocabularyEncoder(CLIP, texts, unit_rows(default_rng(0), len(texts), DIM))
     vectors = list_vectors(large)
     assert len(vectors) == MAX_TEXTS
     assert_array_equal(vectors[:20], large.encode_texts(NOUNS[:20]))

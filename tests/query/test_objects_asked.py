@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
@@ -46,7 +47,7 @@ def slow_by_object(values: np.ndarray, things: np.ndarray) -> np.ndarray:
     st.integers(0, 2**32 - 1),
 )
 def test_a_thing_has_the_value_that_a_quarter_of_its_rows_reach(values, count, seed):
-    things = np.random.default_rng(seed).integers(-1, count, len(values)).astype(np.int32)
+    things = default_rng(seed).integers(-1, count, len(values)).astype(np.int32)
     whole = highest_share(values, things)
     assert_array_equal(whole, slow_by_object(values, things))
     assert_array_equal(highest_share(whole, things), whole)
@@ -64,7 +65,7 @@ def test_a_thing_has_the_value_that_a_quarter_of_its_rows_reach(values, count, s
     st.integers(0, 2**32 - 1),
 )
 def test_a_row_that_stands_for_several_counts_as_these(values, count, seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     things, counts = rng.integers(-1, count, len(values)).astype(np.int32), rng.integers(1, 9, len(values))
     whole = highest_share(values, things, counts)
     expected = slow_by_object(np.repeat(values, counts), np.repeat(things, counts))
@@ -73,7 +74,7 @@ def test_a_row_that_stands_for_several_counts_as_these(values, count, seed):
 
 def test_a_row_of_an_object_has_the_mean_of_its_own_value_and_the_objects(scene):
     field = scene.field
-    values = np.random.default_rng(0).random(len(field), np.float32)
+    values = default_rng(0).random(len(field), np.float32)
     things, pieces = field.objects.thing_of(), field.objects.piece_of()
     spoken = slow_by_object(values, things)
     in_piece = pieces >= 0
@@ -124,7 +125,7 @@ def test_parts_of_a_thing_of_nothing_else_choose_their_classes_for_themselves(sc
 
 
 def test_a_field_without_objects_has_the_values_themselves(scene):
-    values = np.random.default_rng(0).random(len(scene.field), np.float32)
+    values = default_rng(0).random(len(scene.field), np.float32)
     assert_array_equal(by_object(replace(scene.field, objects=None), values), values)
 
 
@@ -149,7 +150,7 @@ def test_loose_rows_keep_their_own_value(scene):
     node_of = objects.node_of.copy()
     node_of[::7] = -1
     loose = replace(field, objects=replace(objects, node_of=node_of))
-    values = np.random.default_rng(1).random(len(field), np.float32)
+    values = default_rng(1).random(len(field), np.float32)
     assert_array_equal(by_object(loose, values)[::7], values[::7])
 
 
@@ -238,7 +239,7 @@ def test_nothing_is_found_where_words_of_the_list_fit_every_gaussian_better(scen
 
 def test_loose_gaussians_at_an_object_are_its_border():
     """Of two loose places one lies about object 3, the other by itself."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     thing, border, away = rng.normal(size=(300, 3)), 1.2 * rng.normal(size=(40, 3)), rng.normal(size=(40, 3)) + 40
     points = np.concatenate([thing, border, away])
     places = np.repeat([3, -1, -2], [300, 40, 40])

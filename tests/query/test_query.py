@@ -19,6 +19,7 @@ from drsplat.query.places import nearest_gaussian
 from drsplat.query.regions import region
 from drsplat.query.relations import gap, stands_on
 from drsplat.scene.boxes import upward
+from refusing import refused
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +97,7 @@ def test_classes_are_those_that_are_there(room):
     assert min(counts[0], counts[2]) > 500
     assert found.labels.shape == (len(room.gaussians),)
     for bad in ([], ["mug", "mug"]):
-        with pytest.raises(InputError, match="different classes"):
+        with refused("different classes"):
             room.segment(bad)
 
 
@@ -108,11 +109,11 @@ def test_a_region_is_what_lies_in_it(room, centers):
     assert [one.num_gaussians for one in found] == sorted((one.num_gaussians for one in found), reverse=True)
     larger = {one.name for one in region(room, centers["red vase"], 0.6)}
     assert {"table", "red vase"} <= larger
-    with pytest.raises(InputError, match="positive radius"):
+    with refused("positive radius"):
         region(room, centers["red vase"], 0.0)
-    with pytest.raises(InputError, match="no Gaussian with a feature"):
+    with refused("no Gaussian with a feature"):
         region(room, (90.0, 0.0, 0.0), 1.0)
-    with pytest.raises(InputError, match="no Gaussian with a feature"):
+    with refused("no Gaussian with a feature"):
         region(room, (1e300, 0.0, 0.0), 1e200)
     everything = [region(room, (0.0, 0.0, 0.0), radius) for radius in (1e3, 1e300)]
     first, second = ([one.name for one in parts] for parts in everything)
@@ -131,7 +132,7 @@ def test_how_things_lie(room):
     assert 0 < gap(room.gaussians, duck, stack) < apart
     assert gap(room.gaussians, duck, stack) == gap(room.gaussians, stack, duck)
     assert gap(room.gaussians, duck, duck) == 0
-    with pytest.raises(InputError, match="has none"):
+    with refused("has none"):
         upward([])
 
 
@@ -143,13 +144,13 @@ def test_nearest_is_among_the_candidates(room):
         x, y, z = (float(value) for value in room.gaussians.means[target])
         found = nearest_gaussian(room.gaussians, some, (x, y, z))
         assert found in some
-    with pytest.raises(InputError, match="no Gaussian of this scene"):
+    with refused("no Gaussian of this scene"):
         nearest_gaussian(room.gaussians, np.empty(0, np.int64), (0.0, 0.0, 0.0))
-    with pytest.raises(InputError, match="three finite numbers"):
+    with refused("three finite numbers"):
         room.nearest((float("nan"), 0.0, 0.0))
     for far in (50.0, 1e20, 1e39, 1e160, 1e300):
         for point in ((far, 0.0, 0.0), (0.0, -far, far)):
-            with pytest.raises(InputError, match="the nearest Gaussian is"):
+            with refused("the nearest Gaussian is"):
                 room.nearest(point)
 
 
@@ -165,7 +166,7 @@ def test_pictures_keep_the_answer_in_colour(room):
     assert np.ptp(shown.astype(int), axis=-1).max() > 100
     photo = room.picture(view, photo=True)
     assert 0 < np.abs(photo.astype(int) - plain).mean() < 40
-    with pytest.raises(InputError, match="no view 'nowhere'"):
+    with refused("no view 'nowhere'"):
         room.picture("nowhere")
 
 
@@ -183,19 +184,19 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
 
 @pytest.mark.parametrize(("make", "message"), WRONG)
 def test_queries_that_are_none(make, message):
-    with pytest.raises(InputError, match=message):
+    with refused(message):
         make()
 
 
 def test_what_is_asked_wrongly_of_a_scene(room):
     with pytest.raises(MismatchError, match="7 numbers"):
         room.ask(Query(vector=np.ones(7, np.float32)))
-    with pytest.raises(InputError, match="has no feature"):
+    with refused("has no feature"):
         room.what_is(len(room.gaussians) + 5)
-    with pytest.raises(InputError, match="has no feature"):
+    with refused("has no feature"):
         room.what_is(-1)
     nobody = Scene(room.field, room.gaussians, encoder=raising)
-    with pytest.raises(InputError, match="none stored: pass negatives=WORDS"):
+    with refused("none stored: pass negatives=WORDS"):
         nobody.ask(Query(point=(0.3, 0.14, 0.82), relevancy=True))
     assert room.ask(Query(point=(0.3, 0.14, 0.82), relevancy=True)).measure == "relevancy"
 
@@ -218,10 +219,10 @@ def test_threads_ask_at_once_what_one_asks_alone(household_folder, room):
 def test_the_scene_that_was_registered_is_found_among_others(household_folder, room, story, demo_folder, tmp_path):
     folder = tmp_path / "room"
     folder.mkdir()
-    with pytest.raises(InputError, match="expected a searchable scene"):
+    with refused("expected a searchable scene"):
         find_scene(folder)
     shutil.copytree(demo_folder / "room.field", folder / "room.field")
-    with pytest.raises(InputError, match="expected a scene"):
+    with refused("expected a scene"):
         find_scene(folder)
     write_gaussians(folder / "a_part.ply", story.gaussians.subset(np.arange(50)))
     with pytest.raises(MismatchError, match="50"):
@@ -230,13 +231,13 @@ def test_the_scene_that_was_registered_is_found_among_others(household_folder, r
     opened = open_scene(folder)
     assert opened.gaussians.fingerprint == story.gaussians.fingerprint
     assert opened.views == ()
-    with pytest.raises(InputError, match="no views"):
+    with refused("no views"):
         opened.picture()
     assert isinstance(opened.encoder, WordEncoder)
-    with pytest.raises(InputError, match="takes any words"):
+    with refused("takes any words"):
         opened.what_is(int(opened.field.gaussian_ids[0]))
     shutil.copytree(folder / "room.field", folder / "other.field")
-    with pytest.raises(InputError, match=r"other\.field, .*room\.field"):
+    with refused(r"other\.field, .*room\.field"):
         open_scene(folder)
-    with pytest.raises(InputError, match="no such file or folder"):
+    with refused("no such file or folder"):
         open_scene(folder / "none")

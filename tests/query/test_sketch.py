@@ -9,9 +9,9 @@ from safetensors.numpy import load, save
 
 from catalogued import boxes_of
 from drsplat import Query, Scene, WordEncoder
-from drsplat.errors import FormatError
 from drsplat.query.sketch import Packed, Sketch, SketchedScene, _Copies, sketch_of
 from known_objects import known_scene
+from refusing import malformed
 
 WORDS = ("red mug", "wooden table", "green plant")
 
@@ -116,13 +116,13 @@ def test_damaged_sketches_are_refused(name, value):
         del arrays[name]
     else:
         arrays[name] = value
-    with pytest.raises(FormatError, match="sketch of a scene"):
+    with malformed("sketch of a scene"):
         Sketch.from_bytes(save(arrays), 512)
 
 
 @pytest.mark.parametrize("data", [b"", b"{}", b"\xff" * 8 + b"{}", b"no sketch at all"])
 def test_other_bytes_are_refused(data):
-    with pytest.raises(FormatError, match="no sketch"):
+    with malformed("no sketch"):
         Sketch.from_bytes(data, 512)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
@@ -30,7 +31,7 @@ SIZE = (0.6, 0.3, 0.9)
 
 def shell(size=SIZE, turn: float = 0.0, count: int = 4000, seed: int = 0) -> Gaussians:
     """The surface of a cuboid, as trained scenes have it: flat Gaussians that lie on its faces."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     area = np.array([size[1] * size[2], size[0] * size[2], size[0] * size[1]])
     face = rng.choice(3, count, p=area / area.sum())
     points = rng.uniform(-0.5, 0.5, (count, 3))
@@ -106,7 +107,7 @@ def knife(halo: int, seed: int = 2) -> Gaussians:
     """A flat blade and its handle, 0.27 x 0.03 x 0.03, in a halo of the table around it."""
     blade = shell((0.27, 0.03, 0.03), turn=25, count=500)
     blade = replace(blade, scales=blade.scales * np.float32(0.1))
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     angles, far = rng.uniform(0, 2 * np.pi, halo), rng.uniform(0.03, 0.09, halo)
     means = np.stack([far * np.cos(angles), far * np.sin(angles), rng.uniform(-0.09, 0.09, halo)], axis=1)
     ids = np.arange(halo)
@@ -132,7 +133,7 @@ def test_the_halo_of_a_thin_thing_neither_widens_nor_turns_its_box(up, seed):
 @pytest.mark.parametrize("count", [3, 40, 900])
 def test_native_is_the_twin(up, count):
     scene = replace(random_gaussians(1000), origin=np.array([5.0, 0, -7]))
-    ids = np.random.default_rng(count).choice(1000, count, replace=False)
+    ids = default_rng(count).choice(1000, count, replace=False)
     for fast, slow in zip(box_of(scene, ids, up), twin.box_of(scene, ids, up), strict=True):
         assert_allclose(fast, slow, atol=2e-6)
 
@@ -147,7 +148,7 @@ def test_native_leaves_out_the_strays_that_the_twin_does(up, seed):
 
 
 def test_many_boxes_at_once_at_any_number_of_threads():
-    scene, rng = random_gaussians(500), np.random.default_rng(3)
+    scene, rng = random_gaussians(500), default_rng(3)
     ids = [rng.choice(500, count, replace=False) for count in (1, 2, 30, 400)]
     starts = np.append(0, np.cumsum([len(one) for one in ids]))
     found = boxes_of(scene, starts, np.concatenate(ids), UP, threads=3)
@@ -204,7 +205,7 @@ def test_the_quantile_of_a_mixture_of_normals():
 @given(st.integers(0, 10_000), st.integers(1, 300), st.sampled_from([0.003, 0.2, 0.5, 0.8, 0.997]))
 def test_the_quantile_is_where_the_mixture_says(seed, count, share):
     """Wide ones and narrow ones, and some without mass: all of them are counted, not only those near the end."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     means, deviations = rng.normal(0, 5, (count, 2)), np.exp(rng.normal(-1, 2, (count, 2)))
     mass = np.where(rng.random(count) < 0.2, 0, rng.random(count)) + 1e-9
     mass /= mass.sum()
