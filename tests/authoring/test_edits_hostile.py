@@ -1,6 +1,5 @@
 """Edits and annotations from strangers: what is read is sound, what is not is refused in words, in little memory."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +41,7 @@ def write_annotations(path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("write", "read"), [(write_edits, read_edits), (write_annotations, read_annotations)])
-def test_damaged_files(write: Callable[[Path], None], read: Callable[[Path], object], tmp_path: Path) -> None:
+def test_damaged_files(write, read, tmp_path):
     path = tmp_path / "given.json"
     write(path)
     good, refused = path.read_bytes(), 0

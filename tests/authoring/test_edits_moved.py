@@ -5,6 +5,7 @@ Run with -s it prints the PSNR of the object's pixels in 20 views.
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import Gaussians, render
 from drsplat.authoring.editing import Duplicate, Edit, Fill, Move, Remove, Rows, Scale, Turn, edited
@@ -65,10 +66,10 @@ def of_pixels(drawn: Gaussians, truth: Gaussians, rows: np.ndarray) -> list[floa
 
 
 @pytest.mark.slow
-def test_a_moved_and_turned_object_is_the_world_with_it_moved() -> None:
+def test_a_moved_and_turned_object_is_the_world_with_it_moved():
     scene, rows, at = room()
     truth, same_rows, _ = room(BY, TURN)
-    np.testing.assert_array_equal(rows, same_rows)
+    assert_array_equal(rows, same_rows)
     x, y, z = at.tolist()
     edits = [Edit(Rows.of(rows), change) for change in (Turn(TURN, (0, 0, 1), (x, y, z)), Move(BY))]
     moved, still = of_pixels(edited(scene, edits), truth, rows), of_pixels(scene, truth, rows)
@@ -80,7 +81,7 @@ def test_a_moved_and_turned_object_is_the_world_with_it_moved() -> None:
 
 
 @pytest.mark.slow
-def test_harmonics_have_to_turn_with_it() -> None:
+def test_harmonics_have_to_turn_with_it():
     """The same with the colours left as they were: the highlight is then on the wrong side."""
     scene, rows, at = room()
     truth, _, _ = room(turn=120)
@@ -95,7 +96,7 @@ def test_harmonics_have_to_turn_with_it() -> None:
 
 
 @pytest.mark.slow
-def test_the_floor_is_whole_again() -> None:
+def test_the_floor_is_whole_again():
     """The rug and the floor below the teddy were there all along: without it and with its hole filled it looks so."""
     scene, rows, _ = room()
     kept = edited(scene, [Edit(Rows.of(rows), Remove())])
@@ -119,7 +120,7 @@ def test_the_floor_is_whole_again() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_a_copy_of_another_size_covers_as_much_from_as_much_nearer(factor: float) -> None:
+def test_a_copy_of_another_size_covers_as_much_from_as_much_nearer(factor):
     scene, rows, at = room()
     x, y, z = at.tolist()
     only = scene.subset(rows)
@@ -130,10 +131,10 @@ def test_a_copy_of_another_size_covers_as_much_from_as_much_nearer(factor: float
     center = at + (view.center - at) * factor
     nearer[:3, 3] = -nearer[:3, :3] @ center
     there = View(view.name, view.K, nearer, view.width, view.height)
-    np.testing.assert_allclose(render(done, there).rgb, render(only, view).rgb, atol=0.01)
+    assert_allclose(render(done, there).rgb, render(only, view).rgb, atol=0.01)
 
 
-def test_a_copy_looks_like_what_it_was_copied_from() -> None:
+def test_a_copy_looks_like_what_it_was_copied_from():
     scene, rows, _ = room()
     only = scene.subset(rows)
     by = (1.0, 0.5, 0.0)
@@ -143,5 +144,5 @@ def test_a_copy_looks_like_what_it_was_copied_from() -> None:
     pose[:3, 3] -= pose[:3, :3] @ np.array(by)
     there = View(view.name, view.K, pose, view.width, view.height)
     copy = both.subset(np.arange(len(only), len(both)))
-    np.testing.assert_allclose(render(copy, there).rgb, render(only, view).rgb, atol=5e-3)
+    assert_allclose(render(copy, there).rgb, render(only, view).rgb, atol=5e-3)
     assert SH_C0 * np.abs(copy.sh).max() > 0

@@ -52,7 +52,7 @@ def exported(room: Path, capsys: Capture, *more: object) -> Read:
     return read(out)
 
 
-def test_the_rows_of_the_table_are_the_objects_that_are_listed(room: Path, capsys: Capture) -> None:
+def test_the_rows_of_the_table_are_the_objects_that_are_listed(room, capsys):
     answer_of(capsys, "objects", room / "room.field", "--id", 1, "--label", "<b>my</b> plate 😀")
     objects = answer_of(capsys, "objects", room / "room.field")["objects"]
     table = exported(room, capsys).table(0)
@@ -64,7 +64,7 @@ def test_the_rows_of_the_table_are_the_objects_that_are_listed(room: Path, capsy
         assert_allclose(table[column], [one[key] for one in objects], rtol=1e-6)
 
 
-def test_every_gaussian_says_whose_it_is(room: Path, capsys: Capture) -> None:
+def test_every_gaussian_says_whose_it_is(room, capsys):
     names = exported(room, capsys).object_names()
     ids = opened(room).object_ids()
     assert [None if number < 0 else f"object {number}" for number in ids] == [
@@ -72,7 +72,7 @@ def test_every_gaussian_says_whose_it_is(room: Path, capsys: Capture) -> None:
     ]
 
 
-def test_an_answer_goes_along(room: Path, capsys: Capture) -> None:
+def test_an_answer_goes_along(room, capsys):
     scene = opened(room)
     answer = scene.ask("red mug")
     glb = exported(room, capsys, "--query", "red mug")
@@ -86,7 +86,7 @@ def test_an_answer_goes_along(room: Path, capsys: Capture) -> None:
 
 
 @pytest.mark.parametrize("chosen", [("--query", "red mug", "--only"), ("--object", 0)])
-def test_only_a_part_is_written(room: Path, capsys: Capture, chosen: tuple[object, ...]) -> None:
+def test_only_a_part_is_written(room, capsys, chosen):
     scene = opened(room)
     glb = exported(room, capsys, *chosen)
     rows = object_rows(scene, 0) if chosen[0] == "--object" else None
@@ -96,7 +96,7 @@ def test_only_a_part_is_written(room: Path, capsys: Capture, chosen: tuple[objec
     assert set(glb.object_names()) == {glb.table(0)["name"][0]}
 
 
-def test_a_label_is_written_alone_and_an_unknown_one_refused(room: Path, capsys: Capture) -> None:
+def test_a_label_is_written_alone_and_an_unknown_one_refused(room, capsys):
     answer_of(capsys, "objects", room / "room.field", "--id", 1, "--label", "my plate")
     glb = exported(room, capsys, "--label", "my plate")
     assert glb.table(0)["number"] == [1]
@@ -106,7 +106,7 @@ def test_a_label_is_written_alone_and_an_unknown_one_refused(room: Path, capsys:
     assert "nothing has the label 'x'" in error
 
 
-def test_kept_edits_are_applied_and_boxes_follow(room: Path, capsys: Capture) -> None:
+def test_kept_edits_are_applied_and_boxes_follow(room, capsys):
     scene = opened(room)
     edit(
         room,
@@ -129,7 +129,7 @@ def test_kept_edits_are_applied_and_boxes_follow(room: Path, capsys: Capture) ->
     assert table["num_gaussians"] == [PER_THING, 0, PER_THING]
 
 
-def test_edits_can_be_left_out(room: Path, capsys: Capture) -> None:
+def test_edits_can_be_left_out(room, capsys):
     scene = opened(room)
     edit(room, Edit(object_rows(scene, 0), Remove()))
     arguments = ["export", str(room / "scene.ply"), "--output", str(room / "a.glb"), "--edits", "none"]
@@ -140,7 +140,7 @@ def test_edits_can_be_left_out(room: Path, capsys: Capture) -> None:
     assert (answer["num_edits"], answer["num_gaussians"]) == (1, len(scene.gaussians) - PER_THING)
 
 
-def test_matches_follow_edits_and_vanish_with_them(room: Path) -> None:
+def test_matches_follow_edits_and_vanish_with_them(room):
     scene = opened(room)
     (before,) = labelled(scene, "red mug").matches
     edit(room, Edit(object_rows(scene, 0), Move((0.0, 0.0, 2.0))))
@@ -152,7 +152,7 @@ def test_matches_follow_edits_and_vanish_with_them(room: Path) -> None:
         labelled(scene, "red mug", only="matches")
 
 
-def test_a_saved_ply_of_edits_says_so_and_has_the_same_numbers(room: Path, capsys: Capture) -> None:
+def test_a_saved_ply_of_edits_says_so_and_has_the_same_numbers(room, capsys):
     scene = opened(room)
     edit(room, Edit(object_rows(scene, 0), Duplicate((3.0, 0.0, 0.0))))
     base = (room / "scene.ply", "--field", room / "room.field")
@@ -164,7 +164,7 @@ def test_a_saved_ply_of_edits_says_so_and_has_the_same_numbers(room: Path, capsy
     assert b"comment edited by drsplat" in (room / "out.ply").read_bytes()[:200]
 
 
-def test_annotations_go_along_where_they_belong(room: Path) -> None:
+def test_annotations_go_along_where_they_belong(room):
     scene = opened(room)
     center = scene.objects[0].center
     AnnotationFile.beside(room / "scene.ply").add([Annotation.at("on it", center), Annotation.at("far", center + 50)])
@@ -172,7 +172,7 @@ def test_annotations_go_along_where_they_belong(room: Path) -> None:
     assert [one.text for one in labelled(scene, only=object_rows(scene, 0)).annotations] == ["on it"]
 
 
-def test_a_scene_without_a_field_is_written_as_it_is(room: Path, capsys: Capture) -> None:
+def test_a_scene_without_a_field_is_written_as_it_is(room, capsys):
     scene = read_gaussians(room / "scene.ply")
     text = text_of(capsys, "export", room / "scene.ply", "-o", room / "a.glb")
     assert "It has no objects: `drsplat objects FIELD --scene SCENE` finds them" in text
@@ -183,7 +183,7 @@ def test_a_scene_without_a_field_is_written_as_it_is(room: Path, capsys: Capture
         assert "pass --field FIELD" in error
 
 
-def test_an_exported_file_answers_as_its_scene_does(room: Path, capsys: Capture) -> None:
+def test_an_exported_file_answers_as_its_scene_does(room, capsys):
     """A GLB keeps every number, so the field of the scene is that of the file as well."""
     answer_of(capsys, "export", room / "scene.ply", "-o", room / "a.glb")
     found = answer_of(capsys, "locate", room / "room.field", "red mug", "--scene", room / "a.glb")
@@ -192,7 +192,7 @@ def test_an_exported_file_answers_as_its_scene_does(room: Path, capsys: Capture)
     assert answer_of(capsys, "inspect", room / "a.glb")["fingerprint"] == read_gaussians(room / "scene.ply").fingerprint
 
 
-def test_inspect_shows_the_names(room: Path, capsys: Capture) -> None:
+def test_inspect_shows_the_names(room, capsys):
     answer_of(capsys, "objects", room / "room.field", "--id", 1, "--label", "[red]plate[/red]")
     exported(room, capsys)
     answer = answer_of(capsys, "inspect", room / "out.glb")
@@ -200,16 +200,15 @@ def test_inspect_shows_the_names(room: Path, capsys: Capture) -> None:
     assert "1 [red]plate[/red]" in text_of(capsys, "inspect", room / "out.glb")
 
 
-def test_embeddings_go_along_when_asked(room: Path, capsys: Capture) -> None:
+def test_embeddings_go_along_when_asked(room, capsys):
     assert "embedding" not in exported(room, capsys).table(0)
     objects = opened(room).field.objects
-    assert objects is not None
     rows = exported(room, capsys, "--embeddings").table(0)["embedding"]
     for row, node in zip(rows, objects.things.tolist(), strict=True):
         assert_array_equal(row, objects.descriptors_of(node)[0])
 
 
-def test_a_scene_that_moves_is_written_at_a_time(room: Path, capsys: Capture) -> None:
+def test_a_scene_that_moves_is_written_at_a_time(room, capsys):
     scene = read_gaussians(room / "scene.ply")
     later = replace(scene, means=scene.means + np.float32([0, 0, 1]))
     times = np.array([0.0, 1.0])
@@ -238,9 +237,7 @@ def test_a_scene_that_moves_is_written_at_a_time(room: Path, capsys: Capture) ->
         (("-o", "a.glb", "--only", "--object", "0"), "keep one of them"),
     ],
 )
-def test_what_cannot_be_written_is_said(
-    arguments: tuple[str, ...], message: str, room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_written_is_said(arguments, message, room, capsys, monkeypatch):
     monkeypatch.chdir(room)
     before = sorted(room.iterdir())
     error = error_of(capsys, "export", "scene.ply", "--field", "room.field", *arguments)
@@ -248,13 +245,13 @@ def test_what_cannot_be_written_is_said(
     assert sorted(room.iterdir()) == before
 
 
-def test_an_output_that_exists_stays(room: Path, capsys: Capture) -> None:
+def test_an_output_that_exists_stays(room, capsys):
     (room / "a.glb").write_bytes(b"mine")
     assert "exists already" in error_of(capsys, "export", room / "scene.ply", "-o", room / "a.glb")
     assert (room / "a.glb").read_bytes() == b"mine"
 
 
-def test_in_python(room: Path) -> None:
+def test_in_python(room):
     scene = opened(room)
     done = export(room / "a.glb", scene, "red mug", only="matches")
     assert (done.format, done.num_objects, done.num_matches, done.lacks) == ("glb", 1, 1, ())
@@ -269,7 +266,7 @@ def test_in_python(room: Path) -> None:
         export(room / "e.glb", scene.gaussians, "red mug")
 
 
-def test_groups_that_a_part_is_in_stay_with_it() -> None:
+def test_groups_that_a_part_is_in_stay_with_it():
     def thing(name: str, parent: int, number: int = -1) -> Thing:
         return Thing(name, 1.0, np.zeros(3), np.eye(3), np.ones(3), parent, None, number)
 
@@ -282,11 +279,10 @@ def test_groups_that_a_part_is_in_stay_with_it() -> None:
     part = only_used(LabelledScene(gaussians, "s", things, groups, np.array([0, -1], np.int32)))
     assert [(one.name, one.parent, one.number) for one in part.things] == [("a", 1, 0)]
     assert [(one.name, one.parent) for one in part.groups] == [("g1", -1), ("g2", 0)]
-    assert part.object_of is not None
     assert part.object_of.tolist() == [0, -1]
 
 
-def test_columns_of_the_file_go_along_in_a_ply_alone(room: Path, capsys: Capture) -> None:
+def test_columns_of_the_file_go_along_in_a_ply_alone(room, capsys):
     scene = read_gaussians(room / "scene.ply")
     write_gaussians(room / "more.ply", scene, {"age": np.arange(len(scene), dtype=np.float32)})
     answer = answer_of(capsys, "export", room / "more.ply", "-o", room / "a.glb")
@@ -295,7 +291,7 @@ def test_columns_of_the_file_go_along_in_a_ply_alone(room: Path, capsys: Capture
     assert_array_equal(read_gaussians(room / "a.ply").extra["age"], np.arange(len(scene)))
 
 
-def test_colors_can_be_fitted_to_bytes(room: Path, capsys: Capture) -> None:
+def test_colors_can_be_fitted_to_bytes(room, capsys):
     gaussians = read_gaussians(room / "scene.ply")
     bright = room / "bright.ply"
     write_gaussians(bright, replace(gaussians, sh=gaussians.sh + np.float32(2)))
@@ -312,9 +308,7 @@ def test_colors_can_be_fitted_to_bytes(room: Path, capsys: Capture) -> None:
 @pytest.mark.parametrize(
     ("suffix", "more"), [("glb", ()), ("ply", ()), ("usda", ()), ("sog", ()), ("spz", ("--spz-version", 4))]
 )
-def test_names_come_back_from_every_format_that_holds_them(
-    room: Path, capsys: Capture, suffix: str, more: tuple[object, ...]
-) -> None:
+def test_names_come_back_from_every_format_that_holds_them(room, capsys, suffix, more):
     scene, out = opened(room), room / f"part.{suffix}"
     answer_of(capsys, "objects", room / "room.field", "--id", 1, "--label", 'a/b "plate" 😀')
     given = ("--field", room / "room.field", "--object", 1, *more)
@@ -327,7 +321,7 @@ def test_names_come_back_from_every_format_that_holds_them(
     assert (read.extra["object_id"] == 1).sum() == (scene.object_ids() == 1).sum()
 
 
-def test_a_file_with_objects_is_exported_with_them_again(room: Path, capsys: Capture) -> None:
+def test_a_file_with_objects_is_exported_with_them_again(room, capsys):
     """From format to format, without the field; after an edit the boxes are where the Gaussians are."""
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "0.glb")
     chain = (("1.sog", ()), ("2.spz", ("--spz-version", 4)), ("2b.ply", ()), ("3.usda", ()), ("4.glb", ()))
@@ -344,7 +338,7 @@ def test_a_file_with_objects_is_exported_with_them_again(room: Path, capsys: Cap
     assert_allclose(read(room / "5.glb").table(0)["center"][0], np.add(last["center"][0], [0, 0, 2]), atol=2e-2)
 
 
-def test_a_copy_in_a_file_of_one_object_is_named_after_it(room: Path, capsys: Capture) -> None:
+def test_a_copy_in_a_file_of_one_object_is_named_after_it(room, capsys):
     """Its number is not its place in the table."""
     given = ("--field", room / "room.field", "--object", 1)
     answer_of(capsys, "export", room / "scene.ply", *given, "-o", room / "part.glb")
@@ -357,7 +351,7 @@ def test_a_copy_in_a_file_of_one_object_is_named_after_it(room: Path, capsys: Ca
     assert (table["number"], table["name"]) == ([1, 2], [name, f"copy of {name}"])
 
 
-def test_labels_of_numbers_that_no_gaussian_has_are_refused(room: Path, capsys: Capture) -> None:
+def test_labels_of_numbers_that_no_gaussian_has_are_refused(room, capsys):
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "a.usda")
     text = (room / "a.usda").read_text()
     for lie in ("int drsplat:number = 4294967295", "int drsplat:number = -2"):
@@ -367,7 +361,7 @@ def test_labels_of_numbers_that_no_gaussian_has_are_refused(room: Path, capsys: 
     assert not (room / "c.glb").exists()
 
 
-def test_three_d_tiles_by_the_verb_stand_where_the_scene_lies(room: Path, capsys: Capture) -> None:
+def test_three_d_tiles_by_the_verb_stand_where_the_scene_lies(room, capsys):
     given = ("--field", room / "room.field", "--tiles3d")
     answer = answer_of(capsys, "export", room / "scene.ply", *given, "-o", room / "free")
     assert (answer["format"], answer["num_gaussians"], answer["num_objects"]) == ("3D Tiles", 2 * PER_THING, 2)
@@ -380,14 +374,14 @@ def test_three_d_tiles_by_the_verb_stand_where_the_scene_lies(room: Path, capsys
     assert "exists already" in error_of(capsys, "export", room / "scene.ply", *given, "-o", room / "free")
 
 
-def test_tiles_become_3d_tiles_without_a_field(room: Path, capsys: Capture) -> None:
+def test_tiles_become_3d_tiles_without_a_field(room, capsys):
     answer_of(capsys, "tile", room / "scene.ply", "--output", room / "tiles")
     answer = answer_of(capsys, "export", room / "tiles", "--tiles3d", "-o", room / "tileset")
     assert (answer["num_gaussians"], answer["num_objects"]) == (2 * PER_THING, None)
     assert "fit_8bit" in error_of(capsys, "export", room / "tiles", "--tiles3d", "--fit-8bit", "-o", room / "again")
 
 
-def test_tiles_become_3d_tiles_with_the_objects_of_their_field(room: Path, capsys: Capture) -> None:
+def test_tiles_become_3d_tiles_with_the_objects_of_their_field(room, capsys):
     """None of them is loaded with all others: the scene's own Gaussians are never asked for."""
     answer_of(capsys, "tile", room / "scene.ply", "--output", room / "tiles")
     answer_of(capsys, "field", "carry", room / "room.field", room / "tiles", "--scene", room / "scene.ply",
@@ -409,13 +403,13 @@ def test_tiles_become_3d_tiles_with_the_objects_of_their_field(room: Path, capsy
     )
 
 
-def test_a_file_beside_its_scene_does_not_take_its_place(room: Path, capsys: Capture) -> None:
+def test_a_file_beside_its_scene_does_not_take_its_place(room, capsys):
     (room / "a_mesh.glb").write_bytes(b"glTF" + bytes(40))
     answer_of(capsys, "export", room, "-o", room / "a.glb")
     assert answer_of(capsys, "edit", room, "--object", 0, "--remove")["scene"] == str(room / "scene.ply")
 
 
-def test_names_beside_a_ply_follow_its_edits(room: Path, capsys: Capture) -> None:
+def test_names_beside_a_ply_follow_its_edits(room, capsys):
     """Of the PLY alone, without the field that they are from."""
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "named.ply")
     answer_of(capsys, "edit", room / "named.ply", "--everything", "--move", 1, 0, 0)
@@ -429,7 +423,7 @@ def test_names_beside_a_ply_follow_its_edits(room: Path, capsys: Capture) -> Non
     assert "edited.objects.json" in error_of(capsys, "inspect", room / "edited.ply")
 
 
-def test_a_plain_ply_has_the_rows_that_the_numbers_beside_it_are_of(room: Path, capsys: Capture) -> None:
+def test_a_plain_ply_has_the_rows_that_the_numbers_beside_it_are_of(room, capsys):
     """For importers that refuse further columns, as docs/export.md says."""
     answer_of(capsys, "export", room / "scene.ply", "-o", room / "plain.ply")
     answer_of(capsys, "objects", room / "room.field", "--scene", room / "scene.ply", "--save", room / "ids.npy")

@@ -47,13 +47,13 @@ def below_a_table(patch_owner: int) -> tuple[Gaussians, np.ndarray, Gaussians]:
 
 
 @pytest.mark.parametrize(("owner", "stay"), [(NOBODY, False), (OTHER, True)])
-def test_what_is_nobodys_below_a_thing_hides_no_hole(owner: int, stay: bool) -> None:
+def test_what_is_nobodys_below_a_thing_hides_no_hole(owner, stay):
     scene, table, patch = below_a_table(owner)
     middle = patch.subset((np.abs(patch.means[:, :2]) < 0.03).all(axis=1))  # what is around covers the edge
     assert same_places(filled(scene, table), middle) == (len(middle) if stay else 0)
 
 
-def test_what_stands_off_a_floor_in_the_place_of_a_thing_goes() -> None:
+def test_what_stands_off_a_floor_in_the_place_of_a_thing_goes():
     """It goes inside of the thing, and stays beside it, or where it is another's."""
     scene, block, _, _ = a_thing_in_a_hole()
     spike = gaussians_at(grid((0, 0, 0.05), (0, 0, 0.25), 0.05))
@@ -69,7 +69,7 @@ def test_what_stands_off_a_floor_in_the_place_of_a_thing_goes() -> None:
 
 
 @pytest.mark.parametrize(("high", "around"), [(1.0, True), (0.05, True), (-0.15, False)])
-def test_a_hole_is_within_what_is_left_of_its_plane(high: float, around: bool) -> None:
+def test_a_hole_is_within_what_is_left_of_its_plane(high, around):
     """A floor that ends behind the hole, in its middle, or before it."""
     floor = grid((-1, -1, 0), (1, high, 0), 0.02)
     floor = floor[(np.abs(floor[:, :2]) > 0.1).any(axis=1)]
@@ -82,7 +82,7 @@ def test_a_hole_is_within_what_is_left_of_its_plane(high: float, around: bool) -
     assert ground.is_around_hole == around
 
 
-def test_where_little_can_be_closed_nothing_is_cloned(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_little_can_be_closed_nothing_is_cloned(monkeypatch):
     scene, thing = on_a_floor()
     gone = edited(scene, [of(thing, Remove())])
     monkeypatch.setattr("drsplat.authoring.editing.closing.MAX_SHIFTS", 1)
@@ -92,7 +92,7 @@ def test_where_little_can_be_closed_nothing_is_cloned(monkeypatch: pytest.Monkey
         assert len(filled(scene, thing)) == len(gone)
 
 
-def test_a_plane_across_things_is_no_surface() -> None:
+def test_a_plane_across_things_is_no_surface():
     """A floor with nothing below it is one; the same floor with more below it than above is none."""
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(-1, 1, (3000, 2)), np.zeros(3000)])

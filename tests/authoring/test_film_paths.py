@@ -1,20 +1,21 @@
 """Paths of a camera: laws of the curve, ways that a scene suggests, and files of key frames."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from drsplat.authoring.filming import paths, planning
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.paths import MAX_FRAMES, CameraPath, KeyFrame, frame_count
-from drsplat.errors import DrSplatError, FormatError, InputError
+from drsplat.errors import DrSplatError, InputError
 from drsplat.scene.views import View
 from mutations import mutants
+from refusing import malformed, refused
 from scenes import look_at_view, random_gaussians
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -37,63 +38,62 @@ def turned(views: list[View]) -> np.ndarray:
     return np.degrees((rotations[:-1].inv() * rotations[1:]).magnitude())
 
 
-def test_a_key_frame_is_the_camera_it_was_made_of() -> None:
+def test_a_key_frame_is_the_camera_it_was_made_of():
     view = look_at_view((1.0, 2.0, 3.0), width=64, height=48)
     again = KeyFrame.of(view).view(SIZE)
-    np.testing.assert_allclose(again.K, view.K, rtol=1e-6)
-    np.testing.assert_allclose(again.cam_from_world, view.cam_from_world, atol=1e-6)
+    assert_allclose(again.K, view.K, rtol=1e-6)
+    assert_allclose(again.cam_from_world, view.cam_from_world, atol=1e-6)
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_a_path_passes_its_key_frames(closed: bool) -> None:
+def test_a_path_passes_its_key_frames(closed):
     """Even ones at even times; from there on nothing is new in a closed one."""
     given = keys()
     count = len(given)
     views = CameraPath(given, closed, even=True).views(4 * count if closed else 4 * (count - 1) + 1, SIZE)
     for number, key in enumerate(given):
-        np.testing.assert_allclose(views[4 * number].cam_from_world, key.view(SIZE).cam_from_world, atol=1e-6)
+        assert_allclose(views[4 * number].cam_from_world, key.view(SIZE).cam_from_world, atol=1e-6)
 
 
-def test_timed_key_frames_are_passed_at_their_times() -> None:
+def test_timed_key_frames_are_passed_at_their_times():
     path = CameraPath(keys(0.0, 1.0, 3.0, 3.5, 4.0))
     views = path.views(41, SIZE)
     for number, key in zip((0, 10, 30, 35, 40), path.keys, strict=True):
-        np.testing.assert_allclose(views[number].center, key.eye, atol=1e-9)
+        assert_allclose(views[number].center, key.eye, atol=1e-9)
 
 
-def test_a_camera_has_one_speed_and_turns_without_jerks() -> None:
+def test_a_camera_has_one_speed_and_turns_without_jerks():
     straight = [KeyFrame.of(look_at_view((x, -4.0, 1.0), (x, 0.0, 1.0))) for x in (0.0, 0.1, 2.0, 2.5, 6.0)]
     steps = np.linalg.norm(np.diff(centers(CameraPath(straight).views(100, SIZE)), axis=0), axis=1)
-    np.testing.assert_allclose(steps, steps.mean(), rtol=0.02)
+    assert_allclose(steps, steps.mean(), rtol=0.02)
     views = CameraPath(keys()).views(400, SIZE)
     assert turned(views).max() < 4 * turned(views).mean()
     bends = np.linalg.norm(np.diff(centers(views), 2, axis=0), axis=1)
     assert bends.max() < 0.2 * np.linalg.norm(np.diff(centers(views), axis=0), axis=1).mean()
 
 
-def test_a_closed_path_goes_on_where_it_began() -> None:
+def test_a_closed_path_goes_on_where_it_began():
     views = CameraPath(keys(), closed=True).views(200, SIZE)
     steps = np.linalg.norm(np.diff(centers([*views, views[0]]), axis=0), axis=1)
     assert steps[-1] < 1.5 * np.median(steps)
     assert turned([*views, views[0]])[-1] < 3 * turned(views).mean()
 
 
-def test_lenses_lie_between_those_of_the_key_frames() -> None:
+def test_lenses_lie_between_those_of_the_key_frames():
     wide, narrow = (KeyFrame.of(look_at_view(eye, fov_degrees=fov)) for eye, fov in ((EYES[0], 90.0), (EYES[1], 30.0)))
     fovs = [key.fov_degrees for key in CameraPath([wide, narrow, narrow, wide]).at(np.linspace(0, 1, 50))]
     assert min(fovs) >= narrow.fov_degrees - 1e-9
     assert max(fovs) <= wide.fov_degrees + 1e-9
 
 
-def test_one_place_held_is_a_still() -> None:
+def test_one_place_held_is_a_still():
     views = CameraPath([keys()[0]] * 3).views(5, SIZE)
     for view in views:
-        np.testing.assert_allclose(view.cam_from_world, views[0].cam_from_world, atol=1e-12)
+        assert_allclose(view.cam_from_world, views[0].cam_from_world, atol=1e-12)
 
 
 @given(st.lists(st.tuples(*[st.floats(-10, 10)] * 3), min_size=2, max_size=8), st.booleans())
-@settings(max_examples=40, deadline=None)
-def test_any_places_make_a_path_of_rigid_cameras(places: list[tuple[float, float, float]], closed: bool) -> None:
+def test_any_places_make_a_path_of_rigid_cameras(places, closed):
     """View checks itself that its pose is one."""
     found = [KeyFrame.of(look_at_view(place, (20.0, 0.0, 0.0))) for place in places]
     views = CameraPath(found, closed).views(20, SIZE)
@@ -101,15 +101,15 @@ def test_any_places_make_a_path_of_rigid_cameras(places: list[tuple[float, float
     assert np.abs(centers(views)).max() <= 3 * reach + 1e-6
 
 
-def test_what_no_path_can_be_made_of() -> None:
+def test_what_no_path_can_be_made_of():
     one = keys()[0]
-    with pytest.raises(InputError, match="2 to 20,000 key frames, got 1"):
+    with refused("2 to 20,000 key frames, got 1"):
         CameraPath([one])
-    with pytest.raises(InputError, match="each later than the last"):
+    with refused("each later than the last"):
         CameraPath(keys(0.0, 2.0, 1.0, 3.0, 4.0))
-    with pytest.raises(InputError, match="closed path"):
+    with refused("closed path"):
         CameraPath(keys(0.0, 1.0, 2.0, 3.0, 4.0), closed=True)
-    with pytest.raises(InputError, match="fov: expected 1 to 170"):
+    with refused("fov: expected 1 to 170"):
         KeyFrame(np.zeros(3), np.eye(3), 180.0)
 
 
@@ -127,7 +127,7 @@ def test_what_no_path_can_be_made_of() -> None:
         (600.0, 240.0),
     ],
 )
-def test_no_number_of_pictures_fills_the_memory(seconds: float, fps: float) -> None:
+def test_no_number_of_pictures_fills_the_memory(seconds, fps):
     with pytest.raises(InputError):
         frame_count(seconds, fps)
     assert frame_count(MAX_FRAMES / 60, 60.0) == MAX_FRAMES
@@ -135,8 +135,8 @@ def test_no_number_of_pictures_fills_the_memory(seconds: float, fps: float) -> N
 
 
 @pytest.mark.parametrize("size", [(0, 10), (10, 1), (9000, 100), (8192, 8192), (10**9, 10**9)])
-def test_no_size_fills_the_memory(size: tuple[int, int]) -> None:
-    with pytest.raises(InputError, match="size: expected"):
+def test_no_size_fills_the_memory(size):
+    with refused("size: expected"):
         CameraPath(keys()).views(5, size)
 
 
@@ -148,21 +148,21 @@ def ring(count: int = 12, radius: float = 3.0) -> list[View]:
     return [look_at_view((radius * np.cos(a) + 1, radius * np.sin(a) + 2, 1.5), (1.0, 2.0, 0.5)) for a in angles]
 
 
-def test_an_orbit_is_a_level_circle_about_what_the_photos_look_at() -> None:
+def test_an_orbit_is_a_level_circle_about_what_the_photos_look_at():
     around = planning.around_scene(random_gaussians(200), ring(), UP)
-    np.testing.assert_allclose(around.target, (1, 2, 0.5), atol=0.02)
+    assert_allclose(around.target, (1, 2, 0.5), atol=0.02)
     views = planning.orbit(around, UP).views(120, SIZE)
     arms = centers(views) - around.target
-    np.testing.assert_allclose(np.linalg.norm(arms[:, :2], axis=1), 3.0, atol=0.01)
-    np.testing.assert_allclose(centers(views)[:, 2], 1.5, atol=0.01)
+    assert_allclose(np.linalg.norm(arms[:, :2], axis=1), 3.0, atol=0.01)
+    assert_allclose(centers(views)[:, 2], 1.5, atol=0.01)
     angles = np.unwrap(np.arctan2(arms[:, 1], arms[:, 0]))
-    np.testing.assert_allclose(np.diff(angles), 2 * np.pi / 120, rtol=0.02)
+    assert_allclose(np.diff(angles), 2 * np.pi / 120, rtol=0.02)
     for view, arm in zip(views, arms, strict=True):
-        np.testing.assert_allclose(view.cam_from_world[2, :3], -arm / np.linalg.norm(arm), atol=0.01)
+        assert_allclose(view.cam_from_world[2, :3], -arm / np.linalg.norm(arm), atol=0.01)
         assert abs(view.cam_from_world[0, 2]) < 1e-3  # level
 
 
-def test_an_orbit_turns_back_where_no_photo_was_taken() -> None:
+def test_an_orbit_turns_back_where_no_photo_was_taken():
     """Photos from 0 to 180 degrees: the orbit goes as far as most of them, and back; with a full ring it goes round."""
     seen = [view for view in ring(24) if view.center[1] > 1.99]
     around = planning.around_scene(random_gaussians(200), seen, UP)
@@ -171,44 +171,44 @@ def test_an_orbit_turns_back_where_no_photo_was_taken() -> None:
         angles = np.degrees(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
         assert np.ptp(angles) < most
         assert np.ptp(angles) > most - 50
-        np.testing.assert_allclose(np.linalg.norm(arms[:, :2], axis=1), np.linalg.norm(arms[0, :2]), rtol=0.01)
+        assert_allclose(np.linalg.norm(arms[:, :2], axis=1), np.linalg.norm(arms[0, :2]), rtol=0.01)
 
 
-def test_an_orbit_without_photos_is_outside_of_the_scene() -> None:
+def test_an_orbit_without_photos_is_outside_of_the_scene():
     scene = random_gaussians(500, extent=2.0)
     around = planning.around_scene(scene, (), UP)
     assert np.linalg.norm(around.eye - around.target) > 2.0
-    with pytest.raises(InputError, match="right above or below"):
+    with refused("right above or below"):
         planning.orbit(planning.Around(np.zeros(3), 5 * UP), UP)
 
 
-def test_photos_that_look_outward_are_circled_about_the_middle() -> None:
+def test_photos_that_look_outward_are_circled_about_the_middle():
     outward = [
         look_at_view((np.cos(a), np.sin(a), 0.1), (5 * np.cos(a), 5 * np.sin(a), 0.0)) for a in (0.1, 1.5, 3.0, 5)
     ]
-    np.testing.assert_array_equal(planning.focus_of(outward, np.full(3, 0.25)), np.full(3, 0.25))
+    assert_array_equal(planning.focus_of(outward, np.full(3, 0.25)), np.full(3, 0.25))
 
 
-def test_a_swing_keeps_to_its_side_and_ends_where_it_began() -> None:
+def test_a_swing_keeps_to_its_side_and_ends_where_it_began():
     around = planning.Around(np.zeros(3), np.array([4.0, 0, 1]))
     views = planning.swinging(around, UP).views(60, SIZE)
     angles = np.degrees(np.arctan2(*centers(views).T[1::-1]))
     assert 29 < angles.max() < 31
     assert -31 < angles.min() < -29
-    np.testing.assert_allclose(views[0].center, around.eye, atol=1e-9)
+    assert_allclose(views[0].center, around.eye, atol=1e-9)
 
 
-def test_photos_are_passed_in_their_order_and_not_too_many_of_them() -> None:
+def test_photos_are_passed_in_their_order_and_not_too_many_of_them():
     views = [look_at_view((x, -4.0, 1 + 0.1 * (x % 2)), (x, 0, 1)) for x in range(100)]
     path = planning.through_photos(views, seconds=4.0)
     assert len(path.keys) == 9
     assert (np.diff([key.eye[0] for key in path.keys]) > 0).all()
     assert len(planning.through_photos(views[:5]).keys) == 5
-    with pytest.raises(InputError, match="two of them or more, got 1"):
+    with refused("two of them or more, got 1"):
         planning.through_photos(views[:1])
 
 
-def test_a_plan_is_what_is_given_else_what_the_path_wishes() -> None:
+def test_a_plan_is_what_is_given_else_what_the_path_wishes():
     path = CameraPath(keys(), seconds=3.0, fps=10.0, size=(101, 50))
     assert planning.planned(path)[1:] == (10.0, (100, 50))
     plan = planning.planned(path, fps=5.0, seconds=2.0, size=(80, 61), sides=2)
@@ -216,25 +216,25 @@ def test_a_plan_is_what_is_given_else_what_the_path_wishes() -> None:
     photos = planning.planned(CameraPath(keys()), views=[look_at_view(EYES[0], width=4000, height=3001)])
     assert photos.size == (1280, 960)
     assert len(photos.views) == 8 * 30
-    with pytest.raises(InputError, match="a multiple of 2 across"):
+    with refused("a multiple of 2 across"):
         planning.planned(path, size=(81, 50), sides=2)
-    with pytest.raises(InputError, match="orbit, swing, photos or a file"):
+    with refused("orbit, swing, photos or a file"):
         planning.path_named("obrit", random_gaussians(5), [])
 
 
 # --- files ---
 
 
-def test_our_key_frames_come_back_as_they_were(tmp_path: Path) -> None:
+def test_our_key_frames_come_back_as_they_were(tmp_path):
     path = CameraPath(keys(0.0, 1.0, 3.0, 3.5, 4.0), seconds=4.0, fps=24.0, size=(320, 240))
     paths.write_path(tmp_path / "path.json", path)
     again = paths.read_path(tmp_path / "path.json")
     assert (again.seconds, again.fps, again.size, again.closed, again.even) == (4.0, 24.0, (320, 240), False, False)
     for one, other in zip(path.keys, again.keys, strict=True):
-        np.testing.assert_allclose(other.eye, one.eye, atol=1e-12)
-        np.testing.assert_allclose(other.rotation, one.rotation, atol=1e-7)
+        assert_allclose(other.eye, one.eye, atol=1e-12)
+        assert_allclose(other.rotation, one.rotation, atol=1e-7)
         assert (other.fov_degrees, other.seconds) == (one.fov_degrees, one.seconds)
-    with pytest.raises(InputError, match="exists already"):
+    with refused("exists already"):
         paths.write_path(tmp_path / "path.json", path)
 
 
@@ -252,7 +252,7 @@ def nerfstudio_file(count: int = 5) -> dict[str, object]:
     }  # fmt: skip
 
 
-def test_a_path_of_nerfstudio_is_filmed_picture_by_picture(tmp_path: Path) -> None:
+def test_a_path_of_nerfstudio_is_filmed_picture_by_picture(tmp_path):
     """Cameras of the file against those that it was made of: +y down and ahead here, the lens from top to bottom."""
     file = tmp_path / "camera_path.json"
     file.write_text(json.dumps(nerfstudio_file()))
@@ -260,8 +260,8 @@ def test_a_path_of_nerfstudio_is_filmed_picture_by_picture(tmp_path: Path) -> No
     assert (len(plan.views), plan.fps, plan.size) == (5, 5.0, (160, 90))
     for number, view in enumerate(plan.views):
         wanted = looking_at(np.array([3.0 - number, -4.0, 1.0]), np.zeros(3), UP, (160, 90), 50.0 + number)
-        np.testing.assert_allclose(view.cam_from_world, wanted.cam_from_world, atol=1e-9)
-        np.testing.assert_allclose(view.K, wanted.K, rtol=1e-9)
+        assert_allclose(view.cam_from_world, wanted.cam_from_world, atol=1e-9)
+        assert_allclose(view.K, wanted.K, rtol=1e-9)
 
 
 def changed(**values: object) -> dict[str, object]:
@@ -270,7 +270,7 @@ def changed(**values: object) -> dict[str, object]:
 
 def with_camera(**values: object) -> dict[str, object]:
     document = nerfstudio_file()
-    document["camera_path"][2].update(values)  # type: ignore[index]
+    document["camera_path"][2].update(values)
     return document
 
 
@@ -313,25 +313,25 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_damaged_path_says_what_is_wrong(name: str, tmp_path: Path) -> None:
+def test_a_damaged_path_says_what_is_wrong(name, tmp_path):
     document, said = BROKEN[name]
     file = tmp_path / "path.json"
     file.write_text(json.dumps(document))
-    with pytest.raises(FormatError, match=said) as raised:
+    with malformed(said) as raised:
         paths.read_path(file)
     assert str(file) in str(raised.value)
 
 
-def test_a_file_that_is_no_json_or_not_there(tmp_path: Path) -> None:
+def test_a_file_that_is_no_json_or_not_there(tmp_path):
     (tmp_path / "path.json").write_bytes(b"\xff\xfe{")
-    with pytest.raises(FormatError, match="expected JSON"):
+    with malformed("expected JSON"):
         paths.read_path(tmp_path / "path.json")
-    with pytest.raises(InputError, match="no such file"):
+    with refused("no such file"):
         paths.read_path(tmp_path / "none.json")
 
 
 @pytest.mark.parametrize("kind", ["ours", "nerfstudio"])
-def test_mutants_of_a_path_are_read_or_refused(kind: str, tmp_path: Path) -> None:
+def test_mutants_of_a_path_are_read_or_refused(kind, tmp_path):
     path = CameraPath(keys(), seconds=4.0, fps=24.0, size=(32, 24))
     good = paths.path_json(path) if kind == "ours" else json.dumps(nerfstudio_file())
     file, read = tmp_path / "path.json", 0

@@ -49,7 +49,7 @@ def a_car_on_a_table() -> tuple[Gaussians, np.ndarray, dict[str, np.ndarray]]:
     return scene, np.concatenate([np.full(len(rows[name]), owners[name]) for name in parts]), rows
 
 
-def test_a_car_takes_its_wheels_and_neither_the_table_nor_what_is_beside_it() -> None:
+def test_a_car_takes_its_wheels_and_neither_the_table_nor_what_is_beside_it():
     scene, owners, rows = a_car_on_a_table()
     inside = owners == CAR
     agreed = np.array([True, True, True, False])
@@ -59,14 +59,14 @@ def test_a_car_takes_its_wheels_and_neither_the_table_nor_what_is_beside_it() ->
     np.testing.assert_array_equal(whole, np.sort(np.concatenate([rows["body"], rows["left"], rows["right"]])))
 
 
-def test_what_photos_agree_on_stays_a_thing_of_its_own() -> None:
+def test_what_photos_agree_on_stays_a_thing_of_its_own():
     scene, owners, rows = a_car_on_a_table()
     parts = loose_parts(scene, owners == CAR, owners, np.ones(4, bool))
     assert not parts[rows["right"]].any()
     assert parts[rows["left"]].all()
 
 
-def test_the_rest_of_a_scrap_goes_with_most_of_it() -> None:
+def test_the_rest_of_a_scrap_goes_with_most_of_it():
     """Some of a scrap is too large to be a loose part: it goes if the rest is most of the scrap, and stays if not."""
     scene, owners, rows = a_car_on_a_table()
     agreed, right = np.array([True, True, True, False]), rows["right"]
@@ -80,13 +80,13 @@ def test_the_rest_of_a_scrap_goes_with_most_of_it() -> None:
         assert not set(rows["box"]) & set(whole)
 
 
-def test_large_ones_reach_beyond_a_thing_and_stay() -> None:
+def test_large_ones_reach_beyond_a_thing_and_stay():
     scene, owners, rows = a_car_on_a_table()
     scene.scales[rows["left"]] *= 3
     assert not loose_parts(scene, owners == CAR, owners, np.array([True, True, True, False]))[rows["left"]].any()
 
 
-def test_few_gaussians_have_no_loose_parts() -> None:
+def test_few_gaussians_have_no_loose_parts():
     scene, owners, rows = a_car_on_a_table()
     inside = np.isin(np.arange(len(scene)), rows["body"][:5])
     assert not loose_parts(scene, inside, owners, np.ones(4, bool)).any()
@@ -111,7 +111,7 @@ def oranges(scene: Gaussians) -> int:
     return int(np.count_nonzero(scene.sh[:, 0, 2] < (0.1 - 0.5) / SH_C0))
 
 
-def test_what_lies_on_a_table_is_not_cloned_into_a_hole() -> None:
+def test_what_lies_on_a_table_is_not_cloned_into_a_hole():
     scene, block = a_hole_among_crumbs()
     rows = Rows.of(block)
     clean = edited(scene, [Edit(rows, Remove()), Edit(rows, Fill())])
@@ -132,7 +132,7 @@ def a_thing_in_a_hole() -> tuple[Gaussians, np.ndarray, Gaussians, Gaussians]:
     return replace(scene, extra={OBJECT_ID: owners}), block, grime, thing
 
 
-def test_what_stands_in_a_hole_stays() -> None:
+def test_what_stands_in_a_hole_stays():
     """The low thing stays, and the grime that training left there goes."""
     scene, block, grime, thing = a_thing_in_a_hole()
     rows = Rows.of(block)
@@ -141,7 +141,7 @@ def test_what_stands_in_a_hole_stays() -> None:
     assert not (after.means[:, None] == grime.means[None]).all(axis=2).any()
 
 
-def test_seams_are_not_compared_where_no_shift_closes_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_seams_are_not_compared_where_no_shift_closes_anything(monkeypatch):
     cells = np.zeros((20, 20), bool)
     missing = cells.copy()
     missing[8:12, 8:12] = True
@@ -154,6 +154,6 @@ def test_seams_are_not_compared_where_no_shift_closes_anything(monkeypatch: pyte
     assert len(seams) > 2  # so this can fail
 
 
-def test_a_fill_of_other_rules_is_refused() -> None:
+def test_a_fill_of_other_rules_is_refused():
     with pytest.raises(InputError, match="expected version 4, got 3"):
         Fill(3)

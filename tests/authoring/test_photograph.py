@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csc_array
 
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import answer_of, error_of, text_of
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_sparse_points, read_views, register, render
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.paths import CameraPath, KeyFrame, write_path
@@ -31,6 +32,7 @@ from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.rendering_record import RECORD, read_rendering_record
 from drsplat.formats.vocabulary import VocabularyEncoder
 from moving_scenes import still
+from refusing import refused
 from scenes import random_gaussians
 
 SMALL = PhotographSettings(number=6, size=(64, 48))
@@ -70,7 +72,7 @@ def room() -> Gaussians:
 
 
 def thing(count: int = 200, **more: object) -> Gaussians:
-    return replace(random_gaussians(count, extent=0.4, size=0.08), **more)  # type: ignore[arg-type]
+    return replace(random_gaussians(count, extent=0.4, size=0.08), **more)
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -82,36 +84,35 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", [room(), thing(), thing(antialiased=True)], ids=["room", "thing", "antialiased"])
-def test_a_pose_that_is_read_again_renders_the_same_picture_to_the_bit(scene: Gaussians, tmp_path: Path) -> None:
+def test_a_pose_that_is_read_again_renders_the_same_picture_to_the_bit(scene, tmp_path):
     photograph(scene, tmp_path / "capture", SMALL)
     views = read_views(tmp_path / "capture")
     assert len(views) == 6
     for view in views:
         assert (view.width, view.height) == SMALL.size
-        np.testing.assert_array_equal(load_image(view), as_pixels(render(scene, view).rgb))
+        assert_array_equal(load_image(view), as_pixels(render(scene, view).rgb))
         assert load_image(view).std() > 5  # something is in sight
 
 
-def test_pictures_of_harmonics_change_with_the_direction(tmp_path: Path) -> None:
+def test_pictures_of_harmonics_change_with_the_direction(tmp_path):
     scene = random_gaussians(200, extent=0.4, size=0.08, sh_degree=3)
     photograph(scene, tmp_path / "capture", SMALL)
     view = read_views(tmp_path / "capture")[0]
     flat = replace(scene, sh=np.ascontiguousarray(scene.sh[:, :1]))
     assert (load_image(view) != as_pixels(render(flat, view).rgb)).any()
-    np.testing.assert_array_equal(load_image(view), as_pixels(render(scene, view).rgb))
+    assert_array_equal(load_image(view), as_pixels(render(scene, view).rgb))
 
 
-def test_points_are_centres_of_gaussians_with_their_colours(tmp_path: Path) -> None:
+def test_points_are_centres_of_gaussians_with_their_colours(tmp_path):
     scene = room()
     photograph(scene, tmp_path / "capture", SMALL)
     points = read_sparse_points(tmp_path / "capture")
-    assert points is not None
-    np.testing.assert_array_equal(points.positions, scene.positions)
+    assert_array_equal(points.positions, scene.positions)
     expected = np.clip(0.5 + 0.28209479177387814 * scene.sh[:, 0], 0, 1)
-    np.testing.assert_allclose(points.colors / 255, expected, atol=0.51 / 255)
+    assert_allclose(points.colors / 255, expected, atol=0.51 / 255)
 
 
-def test_a_written_model_is_read_as_it_was_planned(tmp_path: Path) -> None:
+def test_a_written_model_is_read_as_it_was_planned(tmp_path):
     views = [
         replace(looking_at(np.array(eye, float), np.zeros(3), UP, (64, 48), fov), name=f"{fov:g}.png")
         for eye, fov in (((1, 2, 3), 40.0), ((-4, 1, 0.5), 40.0), ((0, 0, 5), 70.0))
@@ -119,25 +120,25 @@ def test_a_written_model_is_read_as_it_was_planned(tmp_path: Path) -> None:
     write_colmap(tmp_path, views, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     for written, found in zip(views, read_colmap(tmp_path), strict=True):
         assert (written.name, written.width, written.height) == (found.name, found.width, found.height)
-        np.testing.assert_array_equal(written.K, found.K)
-        np.testing.assert_allclose(written.cam_from_world, found.cam_from_world, atol=1e-14)
+        assert_array_equal(written.K, found.K)
+        assert_allclose(written.cam_from_world, found.cam_from_world, atol=1e-14)
     bent = replace(views[0], distortion=(0.1, 0.0, 0.0, 0.0))
-    with pytest.raises(InputError, match="only pinholes"):
+    with refused("only pinholes"):
         write_colmap(tmp_path, [bent], np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
 
 
-def test_colmaps_own_package_reads_the_model(tmp_path: Path) -> None:
+def test_colmaps_own_package_reads_the_model(tmp_path):
     pycolmap = pytest.importorskip("pycolmap")
     photograph(room(), tmp_path / "capture", SMALL)
     model = pycolmap.Reconstruction(str(tmp_path / "capture/sparse/0"))
     assert (len(model.images), len(model.points3D)) == (6, len(room()))
     for view in read_views(tmp_path / "capture"):
         image = next(image for image in model.images.values() if image.name == view.name)
-        np.testing.assert_allclose(image.projection_center(), view.center, atol=1e-9)
+        assert_allclose(image.projection_center(), view.center, atol=1e-9)
 
 
 @pytest.mark.slow
-def test_the_same_bytes_at_any_number_of_threads(tmp_path: Path) -> None:
+def test_the_same_bytes_at_any_number_of_threads(tmp_path):
     for threads in (1, 2, 3):
         photograph(room(), tmp_path / f"{threads}", SMALL, threads=threads)
     one, two, three = (files_of(tmp_path / f"{threads}") for threads in (1, 2, 3))
@@ -148,7 +149,7 @@ def test_the_same_bytes_at_any_number_of_threads(tmp_path: Path) -> None:
 # --- poses ---
 
 
-def test_cameras_of_a_room_stand_in_its_free_space(tmp_path: Path) -> None:
+def test_cameras_of_a_room_stand_in_its_free_space(tmp_path):
     scene = room()
     record = photograph(scene, tmp_path / "capture", replace(SMALL, number=30))
     assert (record["kind"], record["up"]) == ("room", "+z")
@@ -161,7 +162,7 @@ def test_cameras_of_a_room_stand_in_its_free_space(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_cameras_of_a_thing_are_around_it_and_look_at_it(tmp_path: Path) -> None:
+def test_cameras_of_a_thing_are_around_it_and_look_at_it(tmp_path):
     record = photograph(thing(), tmp_path / "capture", replace(SMALL, number=40))
     assert record["kind"] != "room"
     views = read_views(tmp_path / "capture")
@@ -171,7 +172,7 @@ def test_cameras_of_a_thing_are_around_it_and_look_at_it(tmp_path: Path) -> None
     assert all(load_image(view).any() for view in views)
 
 
-def test_a_place_is_free_where_no_gaussian_is_around_it_or_right_before_it() -> None:
+def test_a_place_is_free_where_no_gaussian_is_around_it_or_right_before_it():
     far = np.array([[10.0, 0, 0], [-10, 0, 0], [0, 10, 0], [0, -10, 0], [0, 0, 2]] * 4)
     wide = gaussians_at(np.array([[0.0, 0.0, 0.0]]), size=3.0, opacity=0.9)
     space = Space(gaussians_at(far, size=0.5), UP)
@@ -184,7 +185,7 @@ def test_a_place_is_free_where_no_gaussian_is_around_it_or_right_before_it() -> 
 _ARRAYS = ("means", "quats", "scales", "opacities", "sh")
 
 
-def test_all_directions_of_a_closed_room_show_something_and_few_of_a_lonely_thing() -> None:
+def test_all_directions_of_a_closed_room_show_something_and_few_of_a_lonely_thing():
     across = np.arange(-1, 1.01, 0.1)
     faces = np.stack(np.meshgrid(across, across, [1.0]), -1).reshape(-1, 3)
     closed = [np.roll(faces * sign, shift, axis=1) for sign in (1, -1) for shift in range(3)]
@@ -195,15 +196,15 @@ def test_all_directions_of_a_closed_room_show_something_and_few_of_a_lonely_thin
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [1, -1])
-def test_up_is_away_from_the_floor_along_the_shortest_side(axis: int, sign: int) -> None:
+def test_up_is_away_from_the_floor_along_the_shortest_side(axis, sign):
     points = np.roll(room().means * (1, 1, sign), axis - 2, axis=1)
     expected = np.zeros(3)
     expected[axis] = sign
-    np.testing.assert_array_equal(guessed_up(gaussians_at(points)), expected)
+    assert_array_equal(guessed_up(gaussians_at(points)), expected)
 
 
-def test_up_of_a_scene_that_is_as_high_as_it_is_wide_is_that_of_colmap() -> None:
-    np.testing.assert_array_equal(guessed_up(thing()), [0, -1, 0])
+def test_up_of_a_scene_that_is_as_high_as_it_is_wide_is_that_of_colmap():
+    assert_array_equal(guessed_up(thing()), [0, -1, 0])
 
 
 # --- coverage ---
@@ -216,7 +217,7 @@ def seen_by_hand(weights: list[list[float]], smears: list[float] | None = None) 
     return Sights(views, csc_array(np.array(weights, float)), np.array(smears or [0.0] * count))
 
 
-def test_coverage_is_the_share_that_three_pictures_show() -> None:
+def test_coverage_is_the_share_that_three_pictures_show():
     seen = seen_by_hand(
         [
             [50, 40, 2, 0, 0],  # matters, in three
@@ -225,7 +226,7 @@ def test_coverage_is_the_share_that_three_pictures_show() -> None:
             [1.1, 1.1, 1.1, 1.1, 0],  # the last 1.1 of 101.1: what is before has 98.9 % of all
         ]
     )
-    np.testing.assert_array_equal(seen.significant, [True, True, True, False])
+    assert_array_equal(seen.significant, [True, True, True, False])
     every = seen.coverage(range(5))
     assert (every.significant, every.often, every.once, every.reachable) == (3, 1 / 3, 1.0, 1 / 3)
     some = seen.coverage([0, 1])
@@ -233,7 +234,7 @@ def test_coverage_is_the_share_that_three_pictures_show() -> None:
     assert seen.coverage([]).once == 0
 
 
-def test_the_camera_that_shows_most_that_is_new_comes_first() -> None:
+def test_the_camera_that_shows_most_that_is_new_comes_first():
     rows = [[9, 0, 0, 9], [9, 0, 0, 9], [9, 0, 0, 0], [0, 9, 9, 0]]
     chosen = chosen_views(seen_by_hand(rows), 4)
     assert chosen[0] == 0
@@ -243,13 +244,13 @@ def test_the_camera_that_shows_most_that_is_new_comes_first() -> None:
     assert len(chosen_views(seen_by_hand(rows), None)) == 4
 
 
-def test_smeared_cameras_are_left_out() -> None:
+def test_smeared_cameras_are_left_out():
     seen = seen_by_hand([[9] * 10], [0.3, 0.1, 0.12, 0.15, 0.9, 0.95, 0.5, 0.1, 0.1, 0.1])
     assert [view.name for view in seen.sharp().views] == ["1", "2", "3", "7", "8", "9"]
     assert seen.sharp().pixels.shape == (1, 6)
 
 
-def test_what_cameras_see_is_counted_in_pixels_of_the_pictures() -> None:
+def test_what_cameras_see_is_counted_in_pixels_of_the_pictures():
     """One opaque Gaussian far away: its weight is its alpha, summed over all pixels."""
     sigma, distance, opacity = 0.5, 10.0, 0.5
     spread = np.array([[0.0, 0.0, 0.0]] + [[400.0 + n, 0, 0] for n in range(16)])  # the others are behind the camera
@@ -264,7 +265,7 @@ def test_what_cameras_see_is_counted_in_pixels_of_the_pictures() -> None:
 
 
 @pytest.mark.slow
-def test_more_pictures_cover_more_and_the_numbers_are_those_of_the_capture(tmp_path: Path) -> None:
+def test_more_pictures_cover_more_and_the_numbers_are_those_of_the_capture(tmp_path):
     scene = room()
     few, many = (photograph(scene, tmp_path / f"{n}", replace(SMALL, number=n)) for n in (4, 40))
     assert few["coverage"]["often"] < many["coverage"]["often"] <= many["coverage"]["reachable"]
@@ -279,29 +280,27 @@ def test_more_pictures_cover_more_and_the_numbers_are_those_of_the_capture(tmp_p
 
 
 @pytest.mark.slow
-def test_what_is_there_is_refused_and_replaced_only_if_it_is_ours(tmp_path: Path) -> None:
+def test_what_is_there_is_refused_and_replaced_only_if_it_is_ours(tmp_path):
     output = tmp_path / "capture"
     photograph(thing(), output, SMALL)
     before = files_of(output)
-    with pytest.raises(InputError, match="exists already: pass overwrite=True"):
+    with refused("exists already: pass overwrite=True"):
         photograph(thing(), output, SMALL)
     assert files_of(output) == before
     record = photograph(thing(150), output, replace(SMALL, number=3), overwrite=True)
     assert record["num_pictures"] == len(read_views(output)) == 3
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes.txt").write_text("keep")
-    with pytest.raises(InputError, match="not ours to replace"):
+    with refused("not ours to replace"):
         photograph(thing(), tmp_path / "mine", SMALL, overwrite=True)
     assert (tmp_path / "mine/notes.txt").read_text() == "keep"
-    with pytest.raises(InputError, match="there is no folder"):
+    with refused("there is no folder"):
         photograph(thing(), tmp_path / "no/capture", SMALL)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_a_run_that_is_stopped_leaves_what_was_there(
-    overwrite: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_stopped_leaves_what_was_there(overwrite, tmp_path, monkeypatch):
     output = tmp_path / "capture"
     if overwrite:
         photograph(thing(), output, SMALL)
@@ -311,7 +310,7 @@ def test_a_run_that_is_stopped_leaves_what_was_there(
     def stopping(path: Path, *rest: object) -> None:
         if path.name == "view_0004.png":
             raise KeyboardInterrupt
-        write(path, *rest)  # type: ignore[arg-type]
+        write(path, *rest)
 
     monkeypatch.setattr(taking, "write_picture", stopping)
     with pytest.raises(KeyboardInterrupt):
@@ -333,29 +332,29 @@ def test_a_run_that_is_stopped_leaves_what_was_there(
         ({"background": (2.0, 0.0, 0.0)}, "background: expected red"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(wish: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        PhotographSettings(**wish)  # type: ignore[arg-type]
+def test_settings_that_cannot_be_are_refused(wish, message):
+    with refused(message):
+        PhotographSettings(**wish)
 
 
-def test_scenes_that_cannot_be_photographed_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="the scene has no Gaussians"):
+def test_scenes_that_cannot_be_photographed_are_refused(tmp_path):
+    with refused("the scene has no Gaussians"):
         photograph(thing().subset(np.arange(0)), tmp_path / "capture")
-    with pytest.raises(InputError, match="this scene stands still"):
+    with refused("this scene stands still"):
         photograph(thing(), tmp_path / "capture", replace(SMALL, time=0.5))
-    with pytest.raises(InputError, match="this scene moves: give one of 0 to 1"):
+    with refused("this scene moves: give one of 0 to 1"):
         photograph(still(thing()), tmp_path / "capture", SMALL)
     with pytest.raises(InputError):
         photograph(still(thing()), tmp_path / "capture", replace(SMALL, time=7.0))
     faint = replace(thing(), opacities=np.zeros(200, np.float32))
-    with pytest.raises(InputError, match="no camera sees anything"):
+    with refused("no camera sees anything"):
         photograph(faint, tmp_path / "capture", SMALL)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["fingerprint", '"time"', "num_pictures"])
-def test_a_record_that_was_changed_is_not_believed(part: str, tmp_path: Path) -> None:
+def test_a_record_that_was_changed_is_not_believed(part, tmp_path):
     photograph(thing(), tmp_path / "capture", SMALL)
     path = tmp_path / "capture" / RECORD
     path.write_text(path.read_text().replace(part, part.replace("e", "a", 1).replace("n", "m", 1)))
@@ -365,7 +364,7 @@ def test_a_record_that_was_changed_is_not_believed(part: str, tmp_path: Path) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "drsplat photograph", "version": 2}', "\x00"])
-def test_what_is_no_record_is_refused(text: str, tmp_path: Path) -> None:
+def test_what_is_no_record_is_refused(text, tmp_path):
     photograph(thing(), tmp_path / "capture", SMALL)
     (tmp_path / "capture" / RECORD).write_text(text)
     with pytest.raises(FormatError):
@@ -381,7 +380,7 @@ def path_file(folder: Path, eyes: list[tuple[float, float, float]]) -> Path:
     return folder / "path.json"
 
 
-def test_pictures_along_a_path_are_those_of_a_film(tmp_path: Path, capsys: Capture) -> None:
+def test_pictures_along_a_path_are_those_of_a_film(tmp_path, capsys):
     write_gaussians(tmp_path / "room.ply", room())
     path = path_file(tmp_path, [(1.4, -1.4, 1.2), (1.4, 1.4, 1.4), (-1.4, 1.4, 1.2)])
     options = (tmp_path / "room.ply", "-o", tmp_path / "capture", "--size", "64x48")
@@ -390,12 +389,12 @@ def test_pictures_along_a_path_are_those_of_a_film(tmp_path: Path, capsys: Captu
     from drsplat.authoring.filming.paths import read_path
 
     for view, expected in zip(read_views(tmp_path / "capture"), read_path(path).views(5, (64, 48)), strict=True):
-        np.testing.assert_allclose(view.cam_from_world, expected.cam_from_world, atol=1e-12)
+        assert_allclose(view.cam_from_world, expected.cam_from_world, atol=1e-12)
     orbit = answer_of(capsys, "photograph", *options, "--path", "swing", "--number", 4, "--up", "+z", "--overwrite")
     assert orbit["kind"] == "path"
 
 
-def test_cameras_of_a_path_that_are_inside_of_gaussians_are_left_out(tmp_path: Path) -> None:
+def test_cameras_of_a_path_that_are_inside_of_gaussians_are_left_out(tmp_path):
     keys = [
         KeyFrame.of(looking_at(np.array(eye), np.array([0.0, 0.1, 0.6]), UP, (64, 48), 50.0))
         for eye in ((1.5, 0.0, 0.6), (-1.5, 0.0, 0.6))  # through the block
@@ -406,11 +405,11 @@ def test_cameras_of_a_path_that_are_inside_of_gaussians_are_left_out(tmp_path: P
     for view in read_views(tmp_path / "capture"):
         assert abs(view.center[0]) > 0.5
     inside = [KeyFrame.of(looking_at(np.array((x, 0.0, 0.5)), np.zeros(3), UP, (64, 48))) for x in (0.1, 0.2)]
-    with pytest.raises(InputError, match="all 6 cameras of the path"):
+    with refused("all 6 cameras of the path"):
         photograph(room(), tmp_path / "other", SMALL, path=CameraPath(inside))
 
 
-def test_a_moving_scene_is_photographed_at_a_time_that_its_views_keep(tmp_path: Path, capsys: Capture) -> None:
+def test_a_moving_scene_is_photographed_at_a_time_that_its_views_keep(tmp_path, capsys):
     write_moving(tmp_path / "film.motion", still(room()))
     line = ("photograph", tmp_path / "film.motion", "-o", tmp_path / "capture", "--size", "64x48", "--number", 3)
     assert "this scene moves" in error_of(capsys, *line)
@@ -418,7 +417,6 @@ def test_a_moving_scene_is_photographed_at_a_time_that_its_views_keep(tmp_path: 
     views = read_views(tmp_path / "capture")
     assert [view.time for view in views] == [0.5] * 3
     made = register(still(room()), views, features_of(views))
-    assert made.masks.times is not None
     assert set(made.masks.times.tolist()) == {0.5}
 
 
@@ -442,7 +440,7 @@ def kinds_of(made: Registration, folder: Path) -> tuple[str, list[str]]:
     return manifest["pictures"], manifest["rendered_from"]
 
 
-def test_a_field_knows_which_of_its_views_are_renderings(tmp_path: Path) -> None:
+def test_a_field_knows_which_of_its_views_are_renderings(tmp_path):
     scene = room()
     photograph(scene, tmp_path / "capture", SMALL, name="room.ply")
     views, source = read_views(tmp_path / "capture"), f"room.ply ({scene.fingerprint})"
@@ -465,7 +463,7 @@ def test_a_field_knows_which_of_its_views_are_renderings(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_renderings_are_called_so_by_all_that_is_made_of_them(tmp_path: Path, capsys: Capture) -> None:
+def test_renderings_are_called_so_by_all_that_is_made_of_them(tmp_path, capsys):
     scene, capture, field = tmp_path / "room.ply", tmp_path / "capture", tmp_path / "room.field"
     write_gaussians(scene, room())
     shown = text_of(capsys, "photograph", scene, "-o", capture, "--size", "96x72", "--number", 8)
@@ -491,7 +489,7 @@ def test_renderings_are_called_so_by_all_that_is_made_of_them(tmp_path: Path, ca
     )
 
 
-def test_the_report_of_an_evaluation_says_that_a_field_is_of_renderings(tmp_path: Path) -> None:
+def test_the_report_of_an_evaluation_says_that_a_field_is_of_renderings(tmp_path):
     photograph(room(), tmp_path / "capture", SMALL)
     views = read_views(tmp_path / "capture")
     for some, kind in ((views, "renderings"), ([replace(view, rendered_from="") for view in views], "photos")):
@@ -511,10 +509,9 @@ def test_the_report_of_an_evaluation_says_that_a_field_is_of_renderings(tmp_path
 
 
 @pytest.mark.slow
-def test_the_record_says_of_which_scene_by_what(tmp_path: Path) -> None:
+def test_the_record_says_of_which_scene_by_what(tmp_path):
     photograph(thing(), tmp_path / "a", SMALL, name="thing.spz")
     record = read_rendering_record(tmp_path / "a")
-    assert record is not None
     scene, settings = record["scene"], record["settings"]
     assert isinstance(scene, dict)
     assert isinstance(settings, dict)
@@ -536,20 +533,18 @@ def test_the_record_says_of_which_scene_by_what(tmp_path: Path) -> None:
         (("--time", "1"), "this scene stands still"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(
-    options: tuple[str, ...], message: str, tmp_path: Path, capsys: Capture
-) -> None:
+def test_options_that_do_not_go_together_are_refused(options, message, tmp_path, capsys):
     write_gaussians(tmp_path / "thing.ply", thing())
     assert message in error_of(capsys, "photograph", tmp_path / "thing.ply", "-o", tmp_path / "out", *options)
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("options", [("--up", "w"), ("--up", "1,2"), ("--up", "a,b,c"), ("--number", "0")])
-def test_options_that_are_none_are_misuse(options: tuple[str, ...], tmp_path: Path, capsys: Capture) -> None:
+def test_options_that_are_none_are_misuse(options, tmp_path, capsys):
     error_of(capsys, "photograph", tmp_path / "thing.ply", "-o", tmp_path / "out", *options, code=2)
 
 
-def test_up_may_be_three_numbers(tmp_path: Path, capsys: Capture) -> None:
+def test_up_may_be_three_numbers(tmp_path, capsys):
     write_gaussians(tmp_path / "thing.ply", thing())
     line = ("photograph", tmp_path / "thing.ply", "-o", tmp_path / "out", "--size", "32x24", "--number", 2)
     answer = answer_of(capsys, *line, "--up=0,-3,4")

@@ -14,7 +14,6 @@ from test_registration import capture
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
 from drsplat import DrSplatWarning, Gaussians, View
-from drsplat.errors import InputError
 from drsplat.field.evidence.aggregation import Sampling
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
@@ -25,10 +24,11 @@ from drsplat.query.places import nearest_gaussian
 from drsplat.scene.gaussians import concatenated
 from drsplat.scene.placing import PUBLISHED_NEAR, local_origin, near_plane, size_of
 from drsplat.training import TrainingSettings, train
+from refusing import refused
 from scenes import look_at_view, random_gaussians
 from twins import registering as reference
 
-laws = settings(max_examples=8, deadline=None)
+laws = settings(max_examples=8)
 FAR = np.array([500_000.0, 5_400_000.0, 100.0])
 
 
@@ -71,7 +71,7 @@ def views(gaussians: Gaussians) -> list[View]:
 @pytest.mark.slow
 @laws
 @given(st.integers(1, 30))
-def test_a_unit_of_a_power_of_two_changes_no_bit(gaussians, views, halvings) -> None:
+def test_a_unit_of_a_power_of_two_changes_no_bit(gaussians, views, halvings):
     expected = weights(gaussians, views)
     assert expected.any()
     assert_array_equal(weights(*scaled(gaussians, views, 0.5**halvings)), expected)
@@ -79,7 +79,7 @@ def test_a_unit_of_a_power_of_two_changes_no_bit(gaussians, views, halvings) -> 
 
 @laws
 @given(st.floats(1e-5, 1e5))
-def test_any_unit_changes_nothing_but_rounding(gaussians, views, unit) -> None:
+def test_any_unit_changes_nothing_but_rounding(gaussians, views, unit):
     expected = weights(gaussians, views)
     found = weights(*scaled(gaussians, views, unit))
     assert np.abs(found - expected).sum() < 1e-4 * expected.sum()
@@ -87,14 +87,14 @@ def test_any_unit_changes_nothing_but_rounding(gaussians, views, unit) -> None:
 
 @laws
 @given(st.tuples(*[st.floats(-1e7, 1e7)] * 3))
-def test_a_scene_counted_from_an_origin_is_the_one_about_zero(gaussians, views, place) -> None:
+def test_a_scene_counted_from_an_origin_is_the_one_about_zero(gaussians, views, place):
     by = np.round(np.array(place))
     expected = weights(gaussians, views)
     found = weights(replace(gaussians, origin=by), moved(views, by))
     assert np.abs(found - expected).sum() < 1e-4 * expected.sum()
 
 
-def test_a_far_scene_in_float32_is_registered_as_exactly_as_it_is_kept(gaussians, views) -> None:
+def test_a_far_scene_in_float32_is_registered_as_exactly_as_it_is_kept(gaussians, views):
     grid = np.float32(1 / 8)
     coarse, cameras = scaled(gaussians, views, 512)
     coarse = replace(coarse, means=np.round(coarse.means / grid) * grid)
@@ -108,7 +108,7 @@ def test_a_far_scene_in_float32_is_registered_as_exactly_as_it_is_kept(gaussians
         ds.register(far, moved(cameras, by), capture()[1], Sampling(10))
 
 
-def test_the_twin_sees_a_far_scene_as_a_near_one(gaussians, views) -> None:
+def test_the_twin_sees_a_far_scene_as_a_near_one(gaussians, views):
     by = np.array([1e6, -2e6, 3e5])
     far = splat_arrays(replace(gaussians, origin=by))
     mine = reference.contributors(far, moved(views, by)[0])
@@ -117,7 +117,7 @@ def test_the_twin_sees_a_far_scene_as_a_near_one(gaussians, views) -> None:
     assert_allclose(mine.weights, own.weights, rtol=1e-6)
 
 
-def test_pictures_of_a_far_scene_are_those_of_a_near_one(gaussians, views) -> None:
+def test_pictures_of_a_far_scene_are_those_of_a_near_one(gaussians, views):
     far, cameras = replace(gaussians, origin=FAR), moved(views, FAR)
     expected = ds.render(gaussians, views[1])
     found = ds.render(far, cameras[1], select=np.arange(len(far)))
@@ -125,7 +125,7 @@ def test_pictures_of_a_far_scene_are_those_of_a_near_one(gaussians, views) -> No
     assert_allclose(found.depth, expected.depth, rtol=1e-5)
 
 
-def test_ordinary_scenes_have_the_published_near_plane_and_no_origin() -> None:
+def test_ordinary_scenes_have_the_published_near_plane_and_no_origin():
     room = random_gaussians(400, seed=1)
     assert room.near == PUBLISHED_NEAR == 0.2
     assert room.localized() is room
@@ -133,7 +133,7 @@ def test_ordinary_scenes_have_the_published_near_plane_and_no_origin() -> None:
     assert splat_arrays(room).near == 0.2
 
 
-def test_the_near_plane_is_a_share_of_small_scenes_and_never_more_than_published() -> None:
+def test_the_near_plane_is_a_share_of_small_scenes_and_never_more_than_published():
     room = random_gaussians(4000, seed=1)
     for scale in (1e-6, 1e-3, 0.1, 1.0, 1e6):
         small = room.means * np.float32(scale)
@@ -143,7 +143,7 @@ def test_the_near_plane_is_a_share_of_small_scenes_and_never_more_than_published
     assert near_plane(np.zeros((100, 3), np.float32)) == 0.2
 
 
-def test_a_near_plane_can_be_given_and_is_recorded(gaussians, views, tmp_path: Path) -> None:
+def test_a_near_plane_can_be_given_and_is_recorded(gaussians, views, tmp_path):
     features = capture()[1]
     own = ds.register(gaussians, views, features, Sampling(10), parts=tmp_path)
     assert own.sampling == Sampling(10, near=gaussians.near)
@@ -155,7 +155,7 @@ def test_a_near_plane_can_be_given_and_is_recorded(gaussians, views, tmp_path: P
     field = far.to_field(ds.PQ(4))
     field.save(tmp_path / "a.field")
     assert ds.load_field(tmp_path / "a.field").aggregator.sampling == far.sampling
-    with pytest.raises(InputError, match="in front of the camera"):
+    with refused("in front of the camera"):
         splat_arrays(gaussians, near=-1.0)
 
 
@@ -165,7 +165,7 @@ def double_ply(path: Path, gaussians: Gaussians, by: np.ndarray) -> None:
     write_vertices(path, columns | dict(zip("xyz", positions.T, strict=True)))
 
 
-def test_double_positions_far_away_are_read_and_written_without_loss(gaussians, tmp_path) -> None:
+def test_double_positions_far_away_are_read_and_written_without_loss(gaussians, tmp_path):
     double_ply(tmp_path / "utm.ply", gaussians, FAR)
     read = ds.read_gaussians(tmp_path / "utm.ply")
     assert_allclose(read.positions, gaussians.means + FAR, atol=1e-6)
@@ -176,7 +176,7 @@ def test_double_positions_far_away_are_read_and_written_without_loss(gaussians, 
     assert again.fingerprint == read.fingerprint == read.subset(np.arange(len(read))).fingerprint
 
 
-def test_blocks_far_from_each_other_are_kept_exactly_on_every_axis(gaussians) -> None:
+def test_blocks_far_from_each_other_are_kept_exactly_on_every_axis(gaussians):
     """Along x and z the scene is no further from zero than a few times its size, yet float32 would round it."""
     steps = np.array([[0, 0, 0], [3000, 2000, 0]]) + FAR
     city = concatenated([replace(gaussians, origin=step) for step in steps])
@@ -184,7 +184,7 @@ def test_blocks_far_from_each_other_are_kept_exactly_on_every_axis(gaussians) ->
     assert_allclose(city.positions, expected, atol=3000 * 2.0**-24, rtol=0)
 
 
-def test_float32_positions_are_the_same_bits_whatever_they_are_counted_from(gaussians, tmp_path) -> None:
+def test_float32_positions_are_the_same_bits_whatever_they_are_counted_from(gaussians, tmp_path):
     """One Gaussian at zero has more digits than it could have when counted from where the others are."""
     means = (gaussians.means + np.float32(300 * size_of(gaussians.means))).astype(np.float32)
     plain = replace(gaussians, means=means)
@@ -199,14 +199,14 @@ def test_float32_positions_are_the_same_bits_whatever_they_are_counted_from(gaus
     assert b"property float x" in (tmp_path / "again.ply").read_bytes()[:200]
 
 
-def test_the_fingerprint_does_not_depend_on_the_origin(gaussians) -> None:
+def test_the_fingerprint_does_not_depend_on_the_origin(gaussians):
     by = np.array([1024.0, -2048.0, 0.0])
     far = replace(gaussians, means=np.float32(np.round(gaussians.means * 64) / 64 + by))
     near = replace(far, means=(far.means - by).astype(np.float32), origin=by)
     assert near.fingerprint == far.fingerprint
 
 
-def test_single_positions_far_away_are_warned_of_with_the_number(gaussians, tmp_path) -> None:
+def test_single_positions_far_away_are_warned_of_with_the_number(gaussians, tmp_path):
     far = (gaussians.means + FAR).astype(np.float32)
     ds.write_gaussians(tmp_path / "a.ply", replace(gaussians, means=far))
     with pytest.warns(DrSplatWarning, match=r"5\.4e\+06 units from zero.*to 0\.25 units.*as double"):
@@ -219,9 +219,7 @@ def test_single_positions_far_away_are_warned_of_with_the_number(gaussians, tmp_
 
 
 @pytest.mark.parametrize(("field", "value"), [("means", 3.4e38), ("scales", 1.6e38)])
-def test_numbers_that_float32_only_just_holds_are_no_noise(
-    gaussians, views, tmp_path: Path, field: str, value: float
-) -> None:
+def test_numbers_that_float32_only_just_holds_are_no_noise(gaussians, views, tmp_path, field, value):
     extreme = replace(gaussians, **{field: getattr(gaussians, field).copy()})
     getattr(extreme, field)[:, 0] = value
     ds.write_gaussians(tmp_path / "scene.ply", extreme)
@@ -232,24 +230,22 @@ def test_numbers_that_float32_only_just_holds_are_no_noise(
         assert np.isfinite(shown_of(found, 100).covariances).all()
 
 
-def test_places_are_in_the_coordinates_of_the_world(gaussians) -> None:
+def test_places_are_in_the_coordinates_of_the_world(gaussians):
     far, ids = replace(gaussians, origin=FAR), np.arange(len(gaussians))
     wanted = int(gaussians.opacities.argmax())
     point = tuple((gaussians.means[wanted] + FAR).tolist())
     assert nearest_gaussian(far, ids, point) == nearest_gaussian(
         gaussians, ids, tuple(gaussians.means[wanted].tolist())
     )
-    with pytest.raises(InputError, match=r"is at 500000, 5400000, 900:.*, at 499999\.8"):
+    with refused(r"is at 500000, 5400000, 900:.*, at 499999\.8"):
         nearest_gaussian(far, ids, (FAR[0], FAR[1], 900.0))
     eye, ahead = np.array([0.0, -6.0, 1.0]), np.array([0.0, 1.0, -1 / 6])
     hit, known = hit_by_ray(far, ray_along(eye + FAR, ahead)), hit_by_ray(gaussians, ray_along(eye, ahead))
-    assert hit is not None
-    assert known is not None
     assert_array_equal(hit.gaussian_ids, known.gaussian_ids)
     assert_allclose(hit.point, known.point + FAR, atol=1e-5)
 
 
-def test_units_that_make_no_sense_are_warned_of(gaussians, views) -> None:
+def test_units_that_make_no_sense_are_warned_of(gaussians, views):
     features = capture()[1]
     for unit in (1e-5, 1e6):
         with pytest.warns(DrSplatWarning, match="units large"):
@@ -260,7 +256,7 @@ def test_units_that_make_no_sense_are_warned_of(gaussians, views) -> None:
         ds.register(gaussians, named, features, Sampling(10))
 
 
-def test_a_small_capture_on_a_map_trains_as_one_about_zero(tmp_path: Path) -> None:
+def test_a_small_capture_on_a_map_trains_as_one_about_zero(tmp_path):
     (tmp_path / "photos").mkdir()
     views = photographed(tmp_path / "photos", known_scene(), ring())
     points = perturbed_points(known_scene())

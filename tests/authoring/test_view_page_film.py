@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from browsing import SLOW, eventually, needs_chromium, opened, pixels_of, settled
 from drsplat.authoring.filming.paths import CameraPath, KeyFrame, write_path
@@ -34,12 +35,11 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def header_of(page: Path) -> dict[str, Any]:
     found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"))
-    assert found is not None
     header: dict[str, Any] = json.loads(found[1])
     return header
 
 
-def test_a_page_has_the_path_in_its_own_frame(exported: Path) -> None:
+def test_a_page_has_the_path_in_its_own_frame(exported):
     film = header_of(exported)["film"]
     assert film["seconds"] == 2.0
     assert len(film["eyes"]) == len(film["targets"]) == len(film["fovs"]) == 24
@@ -47,16 +47,16 @@ def test_a_page_has_the_path_in_its_own_frame(exported: Path) -> None:
     ends = np.array([(0.0, -4.0, 1.0), (3.5, 0.0, 1.0)])
     scale = np.linalg.norm(eyes[-1] - eyes[0]) / np.linalg.norm(ends[1] - ends[0])
     origin = eyes[0] - scale * ends[0]
-    np.testing.assert_allclose(eyes[-1] - scale * ends[1], origin, atol=1e-3)
+    assert_allclose(eyes[-1] - scale * ends[1], origin, atol=1e-3)
     ahead = np.array(film["targets"]) - eyes
     middle = eyes[0] + ahead[0] / np.linalg.norm(ahead[0]) * scale * np.linalg.norm(ends[0])
-    np.testing.assert_allclose(middle, origin, atol=0.01)  # all look at the world's zero
+    assert_allclose(middle, origin, atol=0.01)  # all look at the world's zero
 
 
-def test_without_a_path_the_film_is_an_orbit(tmp_path: Path) -> None:
+def test_without_a_path_the_film_is_an_orbit(tmp_path):
     export_page(tmp_path / "page.html", boxes_scene(), ["red mug"], words=THINGS)
     film = header_of(tmp_path / "page.html")["film"]
-    np.testing.assert_allclose(film["eyes"][0], film["eyes"][-1], atol=1e-3)
+    assert_allclose(film["eyes"][0], film["eyes"][-1], atol=1e-3)
     assert np.ptp(film["eyes"], axis=0).max() > 1
     with pytest.raises(InputError, match="orbit, swing, photos or a file"):
         export_page(tmp_path / "other.html", boxes_scene(), ["red mug"], words=THINGS, path_name="orbti")
@@ -93,7 +93,7 @@ def paper_of(page: Any) -> float:
 
 @needs_chromium
 @pytest.mark.slow
-def test_the_film_plays_stops_and_is_pulled(exported: Path, chromium: Any) -> None:
+def test_the_film_plays_stops_and_is_pulled(exported, chromium):
     with device(chromium, exported, DESK) as page:
         before = place_of(page)
         page.locator("#tab-film").click()
@@ -118,7 +118,7 @@ def test_the_film_plays_stops_and_is_pulled(exported: Path, chromium: Any) -> No
 
 @needs_chromium
 @pytest.mark.slow
-def test_the_look_is_the_systems_until_somebody_chooses(exported: Path, chromium: Any) -> None:
+def test_the_look_is_the_systems_until_somebody_chooses(exported, chromium):
     with device(chromium, exported, DESK, "light") as page:
         assert paper_of(page) > 0.8
         page.emulate_media(color_scheme="dark")
@@ -131,11 +131,11 @@ def test_the_look_is_the_systems_until_somebody_chooses(exported: Path, chromium
 
 @needs_chromium
 @pytest.mark.slow
-def test_keys_ask_turn_and_help(exported: Path, chromium: Any) -> None:
+def test_keys_ask_turn_and_help(exported, chromium):
     with device(chromium, exported, DESK) as page:
         for key, text in (("2", "tall lamp"), ("1", "red mug")):
             page.keyboard.press(key)
-            eventually(lambda text=text: page.evaluate("() => drsplat.state.results[0].text") == text)  # type: ignore[misc]
+            eventually(lambda text=text: page.evaluate("() => drsplat.state.results[0].text") == text)
         page.keyboard.press("c")
         eventually(lambda: page.evaluate("() => drsplat.state.mode") == "heat map")
         settled(page)
@@ -160,7 +160,7 @@ def test_keys_ask_turn_and_help(exported: Path, chromium: Any) -> None:
 
 @needs_chromium
 @pytest.mark.slow
-def test_in_a_hand_the_controls_are_a_sheet(exported: Path, chromium: Any) -> None:
+def test_in_a_hand_the_controls_are_a_sheet(exported, chromium):
     with device(chromium, exported, HAND, hand=True) as page:
         assert page.evaluate("() => document.documentElement.scrollWidth") == HAND[0]
         assert page.evaluate("() => drsplat.camera.height") > 0.4 * HAND[1]

@@ -8,31 +8,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from PIL import Image
 
 from drsplat import Scene, read_features, read_views
 from drsplat.drawing.pictures import visible_share
 from drsplat.errors import InputError
-from drsplat.evaluation.demo.story import (
-    PROBES,
-    Story,
-    Verdict,
-    note,
-    read_household,
-    tell,
-    unpack_household,
-    write_album,
-)
+from drsplat.evaluation.demo.story import PROBES, Verdict, note, read_household, tell, unpack_household, write_album
 
 SHIPPED = Path(__file__).parents[2] / "src/drsplat/evaluation/demo/scene"
 
 
-def test_the_scene_is_small() -> None:
+def test_the_scene_is_small():
     assert (SHIPPED / "scene.compressed.ply").stat().st_size <= 5_000_000
     assert sum(file.stat().st_size for file in SHIPPED.rglob("*") if file.is_file()) < 8_000_000
 
 
-def test_no_model_has_learned_from_the_scene() -> None:
+def test_no_model_has_learned_from_the_scene():
     assert json.loads((SHIPPED / "truth.json").read_text())["split"] == "test"
 
 
@@ -45,7 +37,7 @@ sys.exit(main(["demo", "--output-dir", sys.argv[1]]))
 """
 
 
-def test_a_full_disk_is_told_in_one_sentence(tmp_path: Path) -> None:
+def test_a_full_disk_is_told_in_one_sentence(tmp_path):
     ran = subprocess.run(
         [sys.executable, "-c", FULL, str(tmp_path / "room")], capture_output=True, text=True, check=False
     )  # fmt: skip
@@ -57,7 +49,7 @@ def test_a_full_disk_is_told_in_one_sentence(tmp_path: Path) -> None:
     assert not list((tmp_path / "room").rglob("*.tmp"))
 
 
-def test_every_question_is_about_things_in_the_room_or_about_none() -> None:
+def test_every_question_is_about_things_in_the_room_or_about_none():
     categories = set(read_household(SHIPPED).categories.values())
     assert len(PROBES) >= 12
     assert all(set(probe.meant) <= categories for probe in PROBES)
@@ -67,19 +59,19 @@ def test_every_question_is_about_things_in_the_room_or_about_none() -> None:
     assert not names & set(absent)
 
 
-def test_masks_of_the_truth_are_the_ids() -> None:
+def test_masks_of_the_truth_are_the_ids():
     household = read_household(SHIPPED)
     view = household.held_out[0]
     ids = np.asarray(Image.open(SHIPPED / "ids" / Path(view).with_suffix(".png").name)).astype(int) - 1
     number = {category: k for k, category in household.categories.items()}
     vase, both = number["red vase"], {"red vase", "brown table"}
     assert (ids == vase).sum() > 1000
-    np.testing.assert_array_equal(household.mask(view, {"red vase"}), ids == vase)
-    np.testing.assert_array_equal(household.mask(view, both), np.isin(ids, [number[name] for name in both]))
+    assert_array_equal(household.mask(view, {"red vase"}), ids == vase)
+    assert_array_equal(household.mask(view, both), np.isin(ids, [number[name] for name in both]))
     assert not household.mask(view, ()).any()
 
 
-def test_most_answers_are_right(household_story: Story) -> None:
+def test_most_answers_are_right(household_story):
     answers = household_story.verdicts
     assert [answer.probe for answer in answers] == list(PROBES)
     asked = [answer for answer in answers if answer.probe.meant]
@@ -89,7 +81,7 @@ def test_most_answers_are_right(household_story: Story) -> None:
     assert all(answer.iou is not None and answer.iou > 0.5 for answer in right)
 
 
-def test_centres_are_where_the_things_are(household_story: Story, household_folder: Path) -> None:
+def test_centres_are_where_the_things_are(household_story, household_folder):
     known = json.loads((household_folder / "truth.json").read_text())["objects"]
     centers = {thing["category"]: np.array(thing["center"]) for thing in known}
     vase = next(a for a in household_story.verdicts if a.probe.text == "red vase")
@@ -97,19 +89,18 @@ def test_centres_are_where_the_things_are(household_story: Story, household_fold
     assert np.linalg.norm(vase.center - centers["red vase"]) < 0.1  # metres
 
 
-def test_held_out_photos_were_not_registered(household_story: Story, household_folder: Path) -> None:
+def test_held_out_photos_were_not_registered(household_story, household_folder):
     held_out = {view.name for view in household_story.held_out}
     assert held_out == set(read_household(household_folder).held_out)
     assert len(held_out) == 6
     evidence = household_story.field.evidence
-    assert evidence is not None
     assert not held_out & set(evidence.masks.view_names)
     assert len(household_story.views) + len(held_out) == len(read_views(household_folder))
     masked = set(read_features(household_folder / "language_features"))
     assert not masked & {Path(name).stem for name in held_out}
 
 
-def test_iou_is_over_the_pixels_of_the_held_out_photos(household_story: Story, household_folder: Path) -> None:
+def test_iou_is_over_the_pixels_of_the_held_out_photos(household_story, household_folder):
     answer = next(a for a in household_story.verdicts if a.probe.text == "toy duck")
     household, both, either = read_household(household_folder), 0, 0
     for view in household_story.held_out:
@@ -123,7 +114,7 @@ def made_up(answer: Verdict, iou: float | None, places: int) -> Verdict:
     return replace(answer, iou=iou, num_matches=places, count=places)
 
 
-def test_misses_are_told_as_misses(household_story: Story) -> None:
+def test_misses_are_told_as_misses(household_story):
     present, absent = household_story.verdicts[0], household_story.verdicts[-1]
     assert (made_up(present, 0.8, 1).is_right, note(made_up(present, 0.8, 1))) == (True, "1 match, IoU 0.80")
     assert note(made_up(present, 0.2, 2)) == "miss: 2 matches, IoU 0.20"
@@ -136,7 +127,7 @@ def test_misses_are_told_as_misses(household_story: Story) -> None:
     assert note(made_up(absent, None, 1)) == "wrong: 1 match, but there is none"
 
 
-def test_answers_are_judged_by_what_they_are_sure_of(household_story: Story) -> None:
+def test_answers_are_judged_by_what_they_are_sure_of(household_story):
     """The floor under a wooden table is wooden as well: one match is sure, and it alone is right."""
     scene = Scene(household_story.field, household_story.gaussians, threads=1)
     table = next(a for a in household_story.verdicts if a.probe.text == "wooden table")
@@ -144,14 +135,14 @@ def test_answers_are_judged_by_what_they_are_sure_of(household_story: Story) -> 
     sure = [match for match in matches if match.sure]
     assert (table.count, table.num_matches) == (len(sure), len(matches))
     assert 0 < len(sure) < len(matches)
-    np.testing.assert_array_equal(table.gaussian_ids, np.sort(np.concatenate([one.gaussian_ids for one in sure])))
+    assert_array_equal(table.gaussian_ids, np.sort(np.concatenate([one.gaussian_ids for one in sure])))
     assert len(table.gaussian_ids) + len(table.unsure_ids) == sum(len(one) for one in matches)
     assert table.iou is not None
     assert table.iou > 0.8
 
 
 @pytest.mark.slow
-def test_album_shows_every_answer(household_story: Story, tmp_path: Path) -> None:
+def test_album_shows_every_answer(household_story, tmp_path):
     paths = write_album(tmp_path, household_story)
     assert [path.name for path in paths[:2]] == ["overview.png", "yellow_apple.png"]
     assert len(paths) == 1 + len(PROBES)
@@ -161,7 +152,7 @@ def test_album_shows_every_answer(household_story: Story, tmp_path: Path) -> Non
     assert ((red[..., 0] > 100) & (red[..., 1:].max(-1) < 90)).sum() > 500  # the vase, in its colour
 
 
-def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_with_something_in_it_is_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("precious")
     with pytest.raises(InputError, match="overwrite=True"):
         tell(tmp_path)

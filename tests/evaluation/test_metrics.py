@@ -7,30 +7,31 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from drsplat.evaluation import scorers
 
-few = settings(derandomize=True, deadline=None, max_examples=50)
+few = settings(derandomize=True, max_examples=50)
 TRUTH = np.array([1, 1, 1, 2, 2, 3, 0, 0])
 PREDICTED = np.array([1, 1, 2, 2, 2, 1, 3, 0])
 
 
-def test_examples() -> None:
+def test_examples():
     result = doctest.testmod(scorers, extraglobs={"np": np})
     assert result.attempted > 12
     assert result.failed == 0
 
 
-def test_class_ious_by_hand() -> None:
+def test_class_ious_by_hand():
     # class 1: 2 of {3 true, 3 predicted}; class 2: 2 of {2, 3}; class 3: found nowhere that counts
     assert_allclose(scorers.class_ious(PREDICTED, TRUTH, 3), [2 / 4, 2 / 3, 0])
     assert_allclose(scorers.class_accuracies(PREDICTED, TRUTH, 3), [2 / 3, 1, 0])
 
 
-def test_class_ious_are_jaccard_scores() -> None:
+def test_class_ious_are_jaccard_scores():
     sklearn = pytest.importorskip("sklearn.metrics")
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     truth, predicted = rng.integers(1, 6, (2, 500))
     weights = rng.random(500)
     expected = sklearn.jaccard_score(truth, predicted, average=None, labels=[1, 2, 3, 4, 5], sample_weight=weights)
@@ -46,7 +47,7 @@ JACCARD = [
 
 
 @pytest.mark.parametrize(("truth", "predicted", "expected"), JACCARD)
-def test_class_ious_by_fractions(truth, predicted, expected) -> None:
+def test_class_ious_by_fractions(truth, predicted, expected):
     got = scorers.class_ious(np.array(predicted), np.array(truth), len(expected))
     assert_allclose(got, [float(x) for x in expected])
 
@@ -56,7 +57,7 @@ labels = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(1,
 
 @few
 @given(labels)
-def test_whole_weights_count_as_copies(rows) -> None:
+def test_whole_weights_count_as_copies(rows):
     predicted, truth, weights = (np.array(column) for column in zip(*rows, strict=True))
     repeated = scorers.class_ious(np.repeat(predicted, weights), np.repeat(truth, weights), 4)
     assert_allclose(scorers.class_ious(predicted, truth, 4, weights), repeated)
@@ -64,7 +65,7 @@ def test_whole_weights_count_as_copies(rows) -> None:
 
 @few
 @given(labels, st.randoms())
-def test_order_and_scale_of_weights_do_not_matter(rows, random) -> None:
+def test_order_and_scale_of_weights_do_not_matter(rows, random):
     shuffled = list(rows)
     random.shuffle(shuffled)
     one, other = np.array(rows), np.array(shuffled)
@@ -82,7 +83,7 @@ def weighted_iou(predicted: np.ndarray, truth: np.ndarray, weights: np.ndarray) 
 
 @few
 @given(labels)
-def test_class_iou_is_the_weighted_iou_of_its_masks(rows) -> None:
+def test_class_iou_is_the_weighted_iou_of_its_masks(rows):
     predicted, truth, weights = (np.array(column) for column in zip(*rows, strict=True))
     counted = truth > 0
     got = scorers.class_ious(predicted, truth, 4, weights)
@@ -94,7 +95,7 @@ def test_class_iou_is_the_weighted_iou_of_its_masks(rows) -> None:
             assert np.isnan(got[label - 1])
 
 
-def test_perfect_is_one_and_empty_is_zero() -> None:
+def test_perfect_is_one_and_empty_is_zero():
     present = scorers.class_ious(TRUTH, TRUTH, 3)
     assert_allclose(present, 1)
     assert_allclose(scorers.class_ious(np.zeros_like(TRUTH), TRUTH, 3), 0)
@@ -102,7 +103,7 @@ def test_perfect_is_one_and_empty_is_zero() -> None:
 
 @few
 @given(st.lists(st.floats(-5, 5), min_size=3, max_size=9), st.floats(0.1, 9), st.floats(-9, 9))
-def test_correlations_ignore_scale_and_offset(values, scale, offset) -> None:
+def test_correlations_ignore_scale_and_offset(values, scale, offset):
     if np.ptp(values) < 0.1:
         return
     moved = [scale * value + offset for value in values]
@@ -110,15 +111,15 @@ def test_correlations_ignore_scale_and_offset(values, scale, offset) -> None:
     assert scorers.spearman(values, [-v for v in values]) == pytest.approx(-1)
 
 
-def test_spearman_is_scipys() -> None:
+def test_spearman_is_scipys():
     from scipy.stats import spearmanr
 
-    a, b = np.random.default_rng(0).integers(0, 6, (2, 20)).tolist()
+    a, b = default_rng(0).integers(0, 6, (2, 20)).tolist()
     assert scorers.spearman(a, b) == pytest.approx(spearmanr(a, b).statistic)
 
 
-def test_interval_holds_the_mean_and_narrows() -> None:
-    values = np.random.default_rng(1).normal(0.5, 0.1, 40).tolist()
+def test_interval_holds_the_mean_and_narrows():
+    values = default_rng(1).normal(0.5, 0.1, 40).tolist()
     low, high = scorers.mean_interval(values)
     assert low < np.mean(values) < high
     assert high - low < np.subtract(*scorers.mean_interval(values[:8])[::-1])

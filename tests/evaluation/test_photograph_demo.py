@@ -1,22 +1,18 @@
 """The demo's scene without its photos: photographed, cut, embedded, registered, and asked as its photos are."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from command_line import Capture, answer_of
+from command_line import answer_of
 from drsplat import Scene, load_field
-from drsplat.evaluation.demo.story import PROBES, SCENE, Story, _Judge, read_household
+from drsplat.evaluation.demo.story import PROBES, SCENE, _Judge, read_household
 from drsplat.scene.placing import size_of
 
 AS_MANY = 3  # questions that renderings may answer wrongly and photos rightly
 
 
 @pytest.mark.slow
-def test_renderings_answer_what_photos_answer(
-    household_story: Story, household_folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_renderings_answer_what_photos_answer(household_story, household_folder, tmp_path, capsys):
     scene, capture, field = household_folder / SCENE, tmp_path / "capture", tmp_path / "room.field"
     made = answer_of(capsys, "photograph", scene, "-o", capture, "--size", "480x360", "--number", 40)
     assert (made["kind"], made["up"], made["num_pictures"]) == ("room", "+z", 40)

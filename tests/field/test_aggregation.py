@@ -9,6 +9,7 @@ import pytest
 from benchmarks.suite.aggregators import MEASURED
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
@@ -21,7 +22,7 @@ from drsplat.field.evidence.aggregation.voting import effective_views, reliabili
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from fields import random_weights, unit_rows
 
-few = settings(derandomize=True, deadline=None, max_examples=25)
+few = settings(derandomize=True, max_examples=25)
 seeds = st.integers(0, 2**32)
 WEIGHERS = [a for a in MEASURED.values() if a.voting is None]
 every_weigher = pytest.mark.parametrize("how", WEIGHERS, ids=lambda a: a.name)
@@ -100,8 +101,8 @@ def slow_inliers(evidence: Evidence, row: int, deviations: float, least: float) 
 @pytest.mark.slow
 @few
 @given(seeds, st.sampled_from([(3.0, 0.05), (1.0, 0.0), (2.0, 0.3)]))
-def test_the_inliers_are_those_of_the_twin(seed: int, limits: tuple[float, float]) -> None:
-    evidence = evidence_of(np.random.default_rng(seed))
+def test_the_inliers_are_those_of_the_twin(seed, limits):
+    evidence = evidence_of(default_rng(seed))
     kept = OutlierRejection(*limits)(evidence, 1).weights
     dropped = 0
     for row in range(len(evidence)):
@@ -143,14 +144,14 @@ def slow_trust(evidence: Evidence, sharpness: float) -> np.ndarray:
 
 @few
 @given(seeds, st.sampled_from([0.5, 4.0]))
-def test_trust_is_that_of_the_twin(seed: int, sharpness: float) -> None:
-    evidence = evidence_of(np.random.default_rng(seed))
+def test_trust_is_that_of_the_twin(seed, sharpness):
+    evidence = evidence_of(default_rng(seed))
     found = MaskTrust(sharpness)(evidence, 1).weights.toarray()
     # Agreements are float32: where a vote outweighs its row a thousandfold, little is left of the rest.
     assert_allclose(found, slow_trust(evidence, sharpness), rtol=2e-3)
 
 
-def test_a_mask_that_disagrees_on_all_its_gaussians_counts_less_there_and_elsewhere() -> None:
+def test_a_mask_that_disagrees_on_all_its_gaussians_counts_less_there_and_elsewhere():
     """Mask 0 is called something else in rows 0 to 2; in row 3 it is alone with one other."""
     weights = np.ones((4, 4), np.float32)
     weights[3, 2:] = 0
@@ -163,10 +164,10 @@ def test_a_mask_that_disagrees_on_all_its_gaussians_counts_less_there_and_elsewh
     assert (trusted[:, 0] > mean[:, 0] + 0.01).all()
 
 
-def test_parts_of_rows_add_up_to_the_whole_to_the_bit() -> None:
+def test_parts_of_rows_add_up_to_the_whole_to_the_bit():
     """In any order, as tasks of many processes come to an end; sums of floats would not."""
-    evidence = evidence_of(np.random.default_rng(8), rows=300)
-    order = np.random.default_rng(9).permutation(300)
+    evidence = evidence_of(default_rng(8), rows=300)
+    order = default_rng(9).permutation(300)
     whole, parts = tally(evidence), [tally(evidence.rows(rows)) for rows in np.array_split(order, 7)]
     for which in (0, 1):
         assert_array_equal(whole[which], np.sum([part[which] for part in parts], axis=0))
@@ -176,8 +177,8 @@ def test_parts_of_rows_add_up_to_the_whole_to_the_bit() -> None:
     assert_array_equal(of_whole.weights.data, MaskTrust().weighed(evidence.rows(rows), trust).weights.data)
 
 
-def test_trust_keeps_the_proportions_within_a_photo() -> None:
-    evidence = evidence_of(np.random.default_rng(3), per_view=3)
+def test_trust_keeps_the_proportions_within_a_photo():
+    evidence = evidence_of(default_rng(3), per_view=3)
     before, after = evidence.weights.toarray(), MaskTrust()(evidence, 1).weights.toarray()
     for view in range(7):
         of = evidence.masks.views == view
@@ -186,8 +187,8 @@ def test_trust_keeps_the_proportions_within_a_photo() -> None:
         assert_allclose(*shares, atol=1e-6)
 
 
-def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) -> None:
-    evidence = evidence_of(np.random.default_rng(5), rows=200)
+def test_chunks_of_rows_do_not_show_in_trust(monkeypatch):
+    evidence = evidence_of(default_rng(5), rows=200)
     whole = MaskTrust()(evidence, 1).weights.data
     for module in ("entries", "trust"):
         monkeypatch.setattr(f"drsplat.field.evidence.aggregation.{module}.PASS_ENTRIES", 37)
@@ -196,8 +197,8 @@ def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) ->
 
 @few
 @given(seeds)
-def test_the_entries_of_some_columns(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_the_entries_of_some_columns(seed):
+    rng = default_rng(seed)
     evidence = evidence_of(rng)
     weights, kept = evidence.weights, rng.random(evidence.weights.shape[1]) < 0.5
     weights.data[rng.random(weights.nnz) < 0.1] = 0
@@ -210,7 +211,7 @@ def test_the_entries_of_some_columns(seed: int) -> None:
     assert_array_equal(counts, np.bincount(weights.indices, minlength=len(kept)))
 
 
-def test_reliability_by_hand() -> None:
+def test_reliability_by_hand():
     matrix = np.array([[2, 2, 0], [3, 0, 0], [1, 0, 1], [0, 0, 0], [1, 1, 2]], np.float32)
     masks = MaskIds(("a", "b"), np.array([0, 0, 1], np.int32), np.array([0, 1, 0], np.int32))
     embeddings = np.array([[1, 0], [0, 1], [1, 0]], np.float32)
@@ -223,8 +224,8 @@ def test_reliability_by_hand() -> None:
 
 @few
 @given(seeds)
-def test_view_sums_are_those_of_the_dense_matrix(seed: int) -> None:
-    evidence = evidence_of(np.random.default_rng(seed), per_view=4)
+def test_view_sums_are_those_of_the_dense_matrix(seed):
+    evidence = evidence_of(default_rng(seed), per_view=4)
     sums, views = view_sums(evidence), evidence.masks.views
     dense = np.zeros((len(evidence), views.max() + 1))
     dense[sums.rows, sums.views] = sums.weights
@@ -233,8 +234,8 @@ def test_view_sums_are_those_of_the_dense_matrix(seed: int) -> None:
     assert sums.entries.sum() == evidence.weights.nnz
 
 
-def test_the_mean_is_the_papers_to_the_bit() -> None:
-    evidence = evidence_of(np.random.default_rng(2))
+def test_the_mean_is_the_papers_to_the_bit():
+    evidence = evidence_of(default_rng(2))
     for name in ("mean", "official", "centre-pixel"):
         ours = MEASURED[name](evidence)
         assert ours.evidence is evidence
@@ -244,9 +245,9 @@ def test_the_mean_is_the_papers_to_the_bit() -> None:
 @pytest.mark.slow
 @few
 @given(seeds)
-def test_of_one_view_and_mask_all_are_the_mean(seed: int) -> None:
+def test_of_one_view_and_mask_all_are_the_mean(seed):
     """Gates and pruning may drop a vote, but what is left is the only one."""
-    evidence = evidence_of(np.random.default_rng(seed), views=1, per_view=1)
+    evidence = evidence_of(default_rng(seed), views=1, per_view=1)
     mean = features(aggregator("mean"), evidence)
     for how in WEIGHERS:
         ours = features(how, evidence)
@@ -256,8 +257,8 @@ def test_of_one_view_and_mask_all_are_the_mean(seed: int) -> None:
 
 
 @every_weigher
-def test_the_order_in_which_views_come_does_not_matter(how: Aggregator) -> None:
-    evidence, rng = evidence_of(np.random.default_rng(3)), np.random.default_rng(4)
+def test_the_order_in_which_views_come_does_not_matter(how):
+    evidence, rng = evidence_of(default_rng(3)), default_rng(4)
     order = rng.permutation(len(evidence.masks))
     renamed = rng.permutation(len(evidence.masks.view_names))
     names = tuple(evidence.masks.view_names[i] for i in np.argsort(renamed))
@@ -273,16 +274,16 @@ def test_the_order_in_which_views_come_does_not_matter(how: Aggregator) -> None:
         assert_allclose(ours, expected, atol=1e-6)
 
 
-def test_canonical_evidence_is_left_alone() -> None:
-    evidence = evidence_of(np.random.default_rng(5))
+def test_canonical_evidence_is_left_alone():
+    evidence = evidence_of(default_rng(5))
     assert canonical(evidence) is evidence
 
 
 @pytest.mark.slow
 @few
 @given(seeds)
-def test_no_rule_adds_a_vote(seed: int) -> None:
-    evidence = evidence_of(np.random.default_rng(seed))
+def test_no_rule_adds_a_vote(seed):
+    evidence = evidence_of(default_rng(seed))
     there = evidence.weights.toarray() > 0
     for how in WEIGHERS:
         weighed = how(evidence).evidence.weights
@@ -290,14 +291,14 @@ def test_no_rule_adds_a_vote(seed: int) -> None:
         assert (weighed.data > 0).all()
 
 
-def test_two_votes_have_no_majority() -> None:
+def test_two_votes_have_no_majority():
     evidence = one_row([9, 1], [[1, 0], [0, 1]])
     assert OutlierRejection(0.0, 0.0)(evidence).weights.nnz == 2
 
 
 @every_weigher
-def test_any_number_of_threads_gives_the_same_bits(how: Aggregator) -> None:
-    evidence = evidence_of(np.random.default_rng(7), rows=BLOCK_ROWS + 700)
+def test_any_number_of_threads_gives_the_same_bits(how):
+    evidence = evidence_of(default_rng(7), rows=BLOCK_ROWS + 700)
     one = how(evidence, threads=1).evidence.weights
     for threads in (2, 3):
         other = how(evidence, threads=threads).evidence.weights
@@ -307,10 +308,10 @@ def test_any_number_of_threads_gives_the_same_bits(how: Aggregator) -> None:
 
 @pytest.mark.slow
 @every_weigher
-def test_blocks_do_not_show(how: Aggregator, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_do_not_show(how, monkeypatch):
     from drsplat.field.evidence.aggregation import entries
 
-    evidence = evidence_of(np.random.default_rng(8), rows=300)
+    evidence = evidence_of(default_rng(8), rows=300)
     whole = how(evidence).evidence.weights
     for name, size in (("BLOCK_ROWS", 32), ("BLOCK_CELLS", 40)):
         monkeypatch.setattr(entries, name, size)
@@ -318,15 +319,15 @@ def test_blocks_do_not_show(how: Aggregator, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @every_weigher
-def test_evidence_without_any_weight_stays_so(how: Aggregator) -> None:
-    evidence = evidence_of(np.random.default_rng(9))
+def test_evidence_without_any_weight_stays_so(how):
+    evidence = evidence_of(default_rng(9))
     empty = replace(evidence, weights=csr_array(evidence.weights.shape, dtype=np.float32))
     ours = how(empty)
     assert not ours.present.any()
     assert not ours.features(0, len(empty)).any()
 
 
-def test_names() -> None:
+def test_names():
     assert all(name == how.name for name, how in AGGREGATORS.items())
     with pytest.raises(InputError, match=r"'best': there are mean, official, inliers, trusted, robust$"):
         aggregator("best")

@@ -8,19 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from drsplat.cli import main
-from drsplat.errors import InputError, MismatchError
+from drsplat.errors import MismatchError
 from drsplat.field import Assignment, LanguageField, assign, carry_field, carry_label
 from drsplat.field.carrying import MAX_LOST_SHARE
 from drsplat.field.labels import Label, LabelFile
 from drsplat.formats.known import parse_gaussians
 from growing_fields import Killed, files_of, killed_at
 from known_objects import with_objects
+from refusing import refused
 from scene_files import spz_bytes
 from scenes import random_gaussians
 
@@ -32,7 +34,7 @@ def known() -> tuple[LanguageField, ds.Gaussians]:
 
 def shuffled(gaussians: ds.Gaussians, seed: int = 0) -> tuple[ds.Gaussians, np.ndarray]:
     """Rows in another order, and the new row of each."""
-    order = np.random.default_rng(seed).permutation(len(gaussians))
+    order = default_rng(seed).permutation(len(gaussians))
     return gaussians.subset(order), np.argsort(order)
 
 
@@ -47,7 +49,7 @@ def spz_of(gaussians: ds.Gaussians) -> bytes:
     return spz_bytes(replace(gaussians, means=gaussians.means * np.array([1, -1, -1], np.float32)), 3)
 
 
-def test_a_compressed_scene_has_each_gaussian_once(known) -> None:
+def test_a_compressed_scene_has_each_gaussian_once(known):
     """SPZ keeps 1/4096 of a unit, so a place may be off by half of that on each axis."""
     _, scene = known
     small, places = compressed(scene)
@@ -57,7 +59,7 @@ def test_a_compressed_scene_has_each_gaussian_once(known) -> None:
     assert 0 < found.distances.max() <= np.sqrt(3) / 8192 * 1.001 < found.reach
 
 
-def test_everything_goes_along(known) -> None:
+def test_everything_goes_along(known):
     field, scene = known
     small, places = compressed(scene)
     carried = carry_field(field, assign(scene, small, threads=1))
@@ -65,11 +67,7 @@ def test_everything_goes_along(known) -> None:
     rows = carried.rows_of(places[field.gaussian_ids])
     assert_array_equal(np.sort(rows), np.arange(len(field)))
     assert_array_equal(carried.feature(rows), field.feature(np.arange(len(field))))
-    assert carried.evidence is not None
-    assert field.evidence is not None
     assert_array_equal(carried.evidence.weights[rows].toarray(), field.evidence.weights.toarray())
-    assert carried.objects is not None
-    assert field.objects is not None
     assert_array_equal(carried.objects.node_of[rows], field.objects.node_of)
     assert_array_equal(carried.objects.centers, field.objects.centers)
     query = np.eye(8, dtype=np.float32)[1]
@@ -78,7 +76,7 @@ def test_everything_goes_along(known) -> None:
     assert back.equals(field)
 
 
-def test_a_field_that_was_registered_can_be_carried_and_goes_on_growing(tmp_path: Path) -> None:
+def test_a_field_that_was_registered_can_be_carried_and_goes_on_growing(tmp_path):
     from drsplat.field.growing import remove_views
     from toy_capture import write_toy_capture
 
@@ -96,10 +94,9 @@ def test_a_field_that_was_registered_can_be_carried_and_goes_on_growing(tmp_path
     assert_array_equal(first.evidence.weights.toarray(), then.evidence.weights.toarray())
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-4, 0.05, 1.0]))
-def test_no_row_is_given_twice_and_none_from_out_of_reach(seed: int, noise: float) -> None:
-    rng = np.random.default_rng(seed)
+def test_no_row_is_given_twice_and_none_from_out_of_reach(seed, noise):
+    rng = default_rng(seed)
     scene = random_gaussians(60, seed)
     scene = replace(scene, means=scene.means[rng.integers(0, 60, 60)])  # some in one place
     moved = scene.means + noise * rng.standard_normal((60, 3)).astype(np.float32)
@@ -111,26 +108,26 @@ def test_no_row_is_given_twice_and_none_from_out_of_reach(seed: int, noise: floa
         assert_array_equal(found.rows, np.arange(60))
 
 
-def test_places_far_from_zero_are_compared_exactly(known) -> None:
+def test_places_far_from_zero_are_compared_exactly(known):
     _, scene = known
     far = replace(scene, origin=np.array([5e5, 5.4e6, 100.0]))
     rows, places = shuffled(far)
     assert_array_equal(assign(far, rows, threads=1).rows, places)
 
 
-def test_another_scene_is_refused_with_numbers_and_cure(known) -> None:
+def test_another_scene_is_refused_with_numbers_and_cure(known):
     field, scene = known
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     other = replace(scene, means=scene.means + rng.normal(0, 0.3, scene.means.shape).astype(np.float32))
     with pytest.raises(MismatchError, match=r"of 1,490 Gaussians with a feature .* within .* register the new one"):
         carry_field(field, assign(scene, other, threads=1))
-    with pytest.raises(InputError, match="assignment of 400"):
+    with refused("assignment of 400"):
         carry_field(field, assign(random_gaussians(400), random_gaussians(400), threads=1))
-    with pytest.raises(InputError, match="expected two scenes with Gaussians"):
+    with refused("expected two scenes with Gaussians"):
         assign(scene, scene.subset(np.arange(0)))
 
 
-def test_a_few_that_are_gone_lose_their_feature_and_no_more(known) -> None:
+def test_a_few_that_are_gone_lose_their_feature_and_no_more(known):
     field, scene = known
     few = int(MAX_LOST_SHARE * len(field))
     carried = carry_field(field, assign(scene, scene.subset(np.arange(few, len(scene))), threads=1))
@@ -140,21 +137,19 @@ def test_a_few_that_are_gone_lose_their_feature_and_no_more(known) -> None:
         carry_field(field, assign(scene, scene.subset(np.arange(few + 1, len(scene))), threads=1))
 
 
-def test_names_go_along() -> None:
+def test_names_go_along():
     rows = np.array([5, 4, -1, 0, 1, 2])
     assignment = Assignment(rows, np.zeros(6), 1.0, "6-new", 6)
     label = Label.of("mug", "6-old", np.array([0, 1, 2, 4]), np.zeros(3))
     carried = carry_label(label, assignment)
-    assert carried is not None
     assert (carried.name, carried.scene, carried.spans.tolist()) == ("mug", "6-new", [[1, 2], [4, 6]])
     assert carry_label(Label.of("mug", "6-old", np.array([2]), np.zeros(3)), assignment) is None
     beyond = Label("mug", "6-old", np.array([[3, 5], [6, 1 << 62]]), np.zeros(3))  # spans of a damaged file
     carried = carry_label(beyond, assignment)
-    assert carried is not None
     assert carried.spans.tolist() == [[0, 2]]
 
 
-def test_two_objects_of_one_name_keep_it_and_carrying_again_adds_none(known, tmp_path: Path, capsys) -> None:
+def test_two_objects_of_one_name_keep_it_and_carrying_again_adds_none(known, tmp_path, capsys):
     field, scene = known
     ds.write_gaussians(tmp_path / "scene.ply", scene)
     ds.write_gaussians(tmp_path / "new.ply", shuffled(scene)[0])
@@ -169,7 +164,7 @@ def test_two_objects_of_one_name_keep_it_and_carrying_again_adds_none(known, tmp
         assert [len(label) for label in LabelFile.beside(there).read()] == [500, 500]
 
 
-def test_names_that_cannot_be_read_leave_no_field_behind(known, tmp_path: Path, capsys) -> None:
+def test_names_that_cannot_be_read_leave_no_field_behind(known, tmp_path, capsys):
     field, scene = known
     ds.write_gaussians(tmp_path / "scene.ply", scene)
     field.save(tmp_path / "old.field")
@@ -180,7 +175,7 @@ def test_names_that_cannot_be_read_leave_no_field_behind(known, tmp_path: Path, 
     assert not (tmp_path / "new.field").exists()
 
 
-def test_the_command_does_what_the_refusal_says(known, tmp_path: Path, capsys) -> None:
+def test_the_command_does_what_the_refusal_says(known, tmp_path, capsys):
     field, scene = known
     small, places = compressed(scene)
     ds.write_gaussians(tmp_path / "scene.ply", scene)
@@ -214,7 +209,7 @@ def named(known, tmp_path: Path) -> list[str]:
     return ["field", "carry", old, new, "--scene", before, "--output"]
 
 
-def test_two_objects_of_one_name_keep_it(named, tmp_path: Path) -> None:
+def test_two_objects_of_one_name_keep_it(named, tmp_path):
     there = tmp_path / "new.field"
     assert main([*named, str(there)]) == 0
     assert [(label.name, len(label)) for label in LabelFile.beside(there).read()] == [("mug", 500), ("mug", 400)]
@@ -223,7 +218,7 @@ def test_two_objects_of_one_name_keep_it(named, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_carry_has_the_names_once_it_has_the_field(named, tmp_path: Path, monkeypatch) -> None:
+def test_a_killed_carry_has_the_names_once_it_has_the_field(named, tmp_path, monkeypatch):
     whole, there = tmp_path / "whole" / "new.field", tmp_path / "new" / "new.field"
     whole.parent.mkdir()
     with killed_at(1 << 30, monkeypatch.context) as changes:

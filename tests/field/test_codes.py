@@ -2,15 +2,15 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.errors import MismatchError
 from drsplat.field.codes import (
     Code,
     Codebook,
@@ -25,12 +25,13 @@ from drsplat.field.codes import (
 )
 from drsplat.scene.encoders import EncoderIdentity
 from fields import OFFICIAL_INDEX, unit_rows
+from refusing import malformed, refused
 from twins import algebra as reference_algebra
 from twins import scan as reference_scan
 
 CLIP = EncoderIdentity("ViT-B-16/laion2b_s34b_b88k", 512)
 SMALL = EncoderIdentity("small", 24)
-few = settings(derandomize=True, deadline=None, max_examples=30)
+few = settings(derandomize=True, max_examples=30)
 
 
 def clustered(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
@@ -41,7 +42,7 @@ def clustered(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
 
 @lru_cache
 def small_codebook(residual: bool = False) -> Codebook:
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     points = clustered(rng, 2000, 24)
     if not residual:
         return train_codebook(points, 6, encoder=SMALL)
@@ -60,8 +61,8 @@ def random_codes(rng: np.random.Generator, codebook: Codebook, count: int) -> Co
 
 
 @both_kinds
-def test_scores_are_cosines_of_what_is_decoded(residual: bool) -> None:
-    book, rng = small_codebook(residual), np.random.default_rng(1)
+def test_scores_are_cosines_of_what_is_decoded(residual):
+    book, rng = small_codebook(residual), default_rng(1)
     codes, query = random_codes(rng, book, 500), unit_rows(rng, 1, 24)[0]
     decoded = reference_algebra.pq_decode(codes.codes, book.centroids)
     if book.coarse is not None:
@@ -76,8 +77,8 @@ def test_scores_are_cosines_of_what_is_decoded(residual: bool) -> None:
 
 @both_kinds
 @pytest.mark.parametrize("queries", [1, 3, 20, 300])
-def test_all_answers_of_a_code_are_of_one_mind(residual: bool, queries: int) -> None:
-    book, rng = small_codebook(residual), np.random.default_rng(2)
+def test_all_answers_of_a_code_are_of_one_mind(residual, queries):
+    book, rng = small_codebook(residual), default_rng(2)
     code, asked = pq_code(book, random_codes(rng, book, 700)), unit_rows(rng, queries, 24)
     assert isinstance(code, Code)
     assert (len(code), code.dim) == (700, 24)
@@ -101,12 +102,12 @@ def test_all_answers_of_a_code_are_of_one_mind(residual: bool, queries: int) -> 
     some = np.array([699, 3, 3, 256])
     assert_allclose(code.rows(some).scores(asked), scores[:, some], rtol=0, atol=1e-4)
     assert code.scores(asked[:0]).shape == (0, 700)
-    with pytest.raises(InputError, match="one or more queries"):
+    with refused("one or more queries"):
         code.best(asked[:0])
 
 
-def test_any_number_of_coarse_centroids() -> None:
-    plain, rng = small_codebook(), np.random.default_rng(6)
+def test_any_number_of_coarse_centroids():
+    plain, rng = small_codebook(), default_rng(6)
     for count in (1, 256, 257, 600):
         book = Codebook(plain.centroids, unit_rows(rng, count, 24), plain.encoder)
         queries = unit_rows(rng, 3, 24)
@@ -120,8 +121,8 @@ def unit_coarse(book: Codebook) -> np.ndarray:
     return book.coarse
 
 
-def test_codes_in_groups_are_the_same_codes() -> None:
-    book, rng = small_codebook(True), np.random.default_rng(3)
+def test_codes_in_groups_are_the_same_codes():
+    book, rng = small_codebook(True), default_rng(3)
     codes = random_codes(rng, book, 300)
     code = pq_code(book, codes)
     assert_array_equal(code.codes().codes, codes.codes)
@@ -135,8 +136,8 @@ def test_codes_in_groups_are_the_same_codes() -> None:
     assert_array_equal(marked.top(query[0], 1000).rows, code.top(query[0], 1000).rows)
 
 
-def test_a_code_that_does_not_fit_its_codebook_is_refused() -> None:
-    book, rng = small_codebook(True), np.random.default_rng(4)
+def test_a_code_that_does_not_fit_its_codebook_is_refused():
+    book, rng = small_codebook(True), default_rng(4)
     code = pq_code(book, random_codes(rng, book, 300))
     ids = code.coarse_ids
     assert ids is not None
@@ -149,24 +150,24 @@ def test_a_code_that_does_not_fit_its_codebook_is_refused() -> None:
         ({"coarse_ids": ids + np.uint16(60000)}, "coarse id 6"),
     ]
     for changes, message in bad:
-        with pytest.raises(InputError, match=message):
+        with refused(message):
             replace(code, **changes)
 
 
 @pytest.mark.parametrize("worst", [np.nan, np.inf, 1e30])
-def test_centroids_whose_norms_are_no_float32_are_refused(worst: float) -> None:
+def test_centroids_whose_norms_are_no_float32_are_refused(worst):
     book = small_codebook(True)
     assert book.coarse is not None
     for name in ("centroids", "coarse"):
         spoiled = getattr(book, name).copy()
         spoiled[-1, -1] = worst
-        with pytest.raises(InputError, match="finite, and not beyond 1e"):
+        with refused("finite, and not beyond 1e"):
             replace(book, **{name: spoiled})
 
 
-def test_short_rows_get_finer_tables() -> None:
+def test_short_rows_get_finer_tables():
     """Scores are divided by norms: of a row ten times too short the error would be ten times as large."""
-    book, rng = small_codebook(), np.random.default_rng(5)
+    book, rng = small_codebook(), default_rng(5)
     small = Codebook(book.centroids / 10, None, book.encoder)
     code = pq_code(small, random_codes(rng, small, 2000))
     query = unit_rows(rng, 1, 24)
@@ -177,9 +178,9 @@ def test_short_rows_get_finer_tables() -> None:
 
 @few
 @given(st.integers(0, 2**32))
-def test_coding_what_was_decoded_changes_nothing(seed: int) -> None:
+def test_coding_what_was_decoded_changes_nothing(seed):
     book = small_codebook()
-    codes = random_codes(np.random.default_rng(seed), book, 20)
+    codes = random_codes(default_rng(seed), book, 20)
     decoded = book.decode(codes)
     again = book.encode(decoded)
     assert_array_equal(book.decode(again), decoded)  # codes may differ where centroids are equal
@@ -187,16 +188,16 @@ def test_coding_what_was_decoded_changes_nothing(seed: int) -> None:
 
 
 @both_kinds
-def test_a_row_is_coded_alike_alone_and_among_others(residual: bool) -> None:
-    book, points = small_codebook(residual), clustered(np.random.default_rng(2), 9000, 24)
+def test_a_row_is_coded_alike_alone_and_among_others(residual):
+    book, points = small_codebook(residual), clustered(default_rng(2), 9000, 24)
     together, alone = book.encode(points), book.encode(points[8500:8501])
     assert_array_equal(together.codes[8500], alone.codes[0])
     assert_array_equal(together.rows(slice(8500, 8501)).coarse_ids, alone.coarse_ids)
 
 
-def test_encoding_agrees_with_faiss_but_for_ties() -> None:
+def test_encoding_agrees_with_faiss_but_for_ties():
     faiss = pytest.importorskip("faiss")
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     features = unit_rows(rng, 3000, 64)
     quantizer = faiss.ProductQuantizer(64, 16, 8)
     quantizer.cp.niter, quantizer.cp.min_points_per_centroid = 4, 1
@@ -223,10 +224,10 @@ def faiss_index(book: Codebook):
 
 
 @pytest.mark.oracle
-def test_our_codebook_serves_as_an_index_of_faiss(tmp_path: Path) -> None:
+def test_our_codebook_serves_as_an_index_of_faiss(tmp_path):
     """It codes, decodes and searches alike there, and comes back from its file to the bit."""
     faiss = pytest.importorskip("faiss")
-    rng = np.random.default_rng(13)
+    rng = default_rng(13)
     points, book = clustered(rng, 2000, 24), small_codebook()
     index = faiss_index(book)
     ours, theirs = book.encode(points), index.sa_encode(points)
@@ -252,9 +253,9 @@ def clear_cut(book: Codebook, points: np.ndarray) -> np.ndarray:
     return np.asarray(errors[..., 1] - errors[..., 0] > 1e-6)
 
 
-def test_training_is_as_good_as_that_of_faiss() -> None:
+def test_training_is_as_good_as_that_of_faiss():
     faiss = pytest.importorskip("faiss")
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     points, unseen = clustered(rng, 6000, 32), clustered(rng, 2000, 32)
     ours = train_codebook(points, 8, encoder=EncoderIdentity("toy", 32))
     quantizer = faiss.ProductQuantizer(32, 8, 8)
@@ -266,37 +267,37 @@ def test_training_is_as_good_as_that_of_faiss() -> None:
     assert errors[0] <= 1.05 * errors[1]
 
 
-def test_training_gives_the_same_bits_for_any_number_of_threads() -> None:
-    points = clustered(np.random.default_rng(5), 3000, 24)
+def test_training_gives_the_same_bits_for_any_number_of_threads():
+    points = clustered(default_rng(5), 3000, 24)
     books = [train_codebook(points, 6, encoder=SMALL, threads=t) for t in (1, 2, 3)]
     assert len({book.hash for book in books}) == 1
     assert train_codebook(points, 6, encoder=SMALL, seed=1).hash != books[0].hash
 
 
-def test_more_points_than_are_used_are_sampled_over_all_of_them() -> None:
-    points = np.repeat(unit_rows(np.random.default_rng(6), 2, 24), 20_000, axis=0)
+def test_more_points_than_are_used_are_sampled_over_all_of_them():
+    points = np.repeat(unit_rows(default_rng(6), 2, 24), 20_000, axis=0)
     book = train_codebook(points, 6, encoder=SMALL)
     assert_array_equal(book.decode(book.encode(points[[0, -1]])), points[[0, -1]])
 
 
 @few
 @given(st.integers(1, 256), st.integers(0, 2**32))
-def test_few_distinct_points_are_coded_without_loss(count: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_few_distinct_points_are_coded_without_loss(count, seed):
+    rng = default_rng(seed)
     points = unit_rows(rng, count, 24)[rng.integers(0, count, 2 * count)]
     book = train_codebook(points, 6, encoder=SMALL)
     assert_array_equal(book.decode(book.encode(points)), points)
 
 
-def test_a_constant_part_among_rich_ones_is_coded_without_loss() -> None:
-    points = clustered(np.random.default_rng(7), 1500, 24)
+def test_a_constant_part_among_rich_ones_is_coded_without_loss():
+    points = clustered(default_rng(7), 1500, 24)
     points[:, 4:8] = 0.125
     book = train_codebook(points, 6, encoder=SMALL)
     assert_array_equal(book.decode(book.encode(points))[:, 4:8], points[:, 4:8])
 
 
 @both_kinds
-def test_a_codebook_comes_back_from_disk_to_the_bit(residual: bool, tmp_path: Path) -> None:
+def test_a_codebook_comes_back_from_disk_to_the_bit(residual, tmp_path):
     book, path = small_codebook(residual), tmp_path / "a.codebook"
     save_codebook(book, path)
     again = load_codebook(path)
@@ -304,16 +305,15 @@ def test_a_codebook_comes_back_from_disk_to_the_bit(residual: bool, tmp_path: Pa
     assert again.encoder == book.encoder
     assert not again.centroids.flags.writeable
     assert_array_equal(again.centroids, book.centroids)
-    with pytest.raises(InputError, match="overwrite"):
+    with refused("overwrite"):
         save_codebook(book, path)
 
 
-def test_the_hash_covers_everything() -> None:
+def test_the_hash_covers_everything():
     book = small_codebook(True)
     other = EncoderIdentity("another", 24)
     changed = book.centroids.copy()
     changed[-1, -1, -1] += 1
-    assert book.coarse is not None
     hashes = {
         book.hash,
         Codebook(changed, book.coarse, SMALL).hash,
@@ -325,36 +325,36 @@ def test_the_hash_covers_everything() -> None:
     assert len(hashes) == 6
 
 
-def test_a_changed_byte_of_a_codebook_file_is_noticed(tmp_path: Path) -> None:
+def test_a_changed_byte_of_a_codebook_file_is_noticed(tmp_path):
     path = tmp_path / "a.codebook"
     save_codebook(small_codebook(), path)
     content = bytearray(path.read_bytes())
     content[-5] ^= 1
     path.write_bytes(content)
-    with pytest.raises(FormatError, match="not the one that was written"):
+    with malformed("not the one that was written"):
         load_codebook(path)
 
 
-def test_what_does_not_belong_together_is_refused() -> None:
+def test_what_does_not_belong_together_is_refused():
     plain, residual = small_codebook(), small_codebook(True)
-    codes = random_codes(np.random.default_rng(8), residual, 5)
+    codes = random_codes(default_rng(8), residual, 5)
     with pytest.raises(MismatchError, match="encoder"):
         Codebook(plain.centroids, None, CLIP)
-    with pytest.raises(InputError, match="coarse ids"):
+    with refused("coarse ids"):
         plain.decode(codes)
-    with pytest.raises(InputError, match="coarse id 65535"):
+    with refused("coarse id 65535"):
         residual.decode(Codes(codes.codes, np.full(5, 65535, np.uint16)))
-    with pytest.raises(InputError, match="queries of 24 numbers, got 23"):
+    with refused("queries of 24 numbers, got 23"):
         plain.tables(np.zeros((1, 23), np.float32))
-    with pytest.raises(InputError, match=r"cannot train 7 .* divides 24"):
-        train_codebook(unit_rows(np.random.default_rng(0), 9, 24), 7, encoder=SMALL)
-    with pytest.raises(InputError, match="official"):
-        official_bytes(plain.encode(unit_rows(np.random.default_rng(0), 9, 24)))
+    with refused(r"cannot train 7 .* divides 24"):
+        train_codebook(unit_rows(default_rng(0), 9, 24), 7, encoder=SMALL)
+    with refused("official"):
+        official_bytes(plain.encode(unit_rows(default_rng(0), 9, 24)))
 
 
-def test_official_rows_without_a_feature_are_left_out_and_bad_ones_refused() -> None:
+def test_official_rows_without_a_feature_are_left_out_and_bad_ones_refused():
     book = small_codebook(True)
-    codes = random_codes(np.random.default_rng(9), book, 6)
+    codes = random_codes(default_rng(9), book, 6)
     codes.codes[4] = 255  # a legal code: only all 8 bytes 255 mark absence
     rows = official_bytes(codes)
     rows[2] = 255
@@ -362,12 +362,11 @@ def test_official_rows_without_a_feature_are_left_out_and_bad_ones_refused() -> 
     kept = [0, 1, 3, 4, 5]
     assert_array_equal(found.ids, kept)
     assert_array_equal(found.codes.codes, codes.codes[kept])
-    assert codes.coarse_ids is not None
     assert_array_equal(found.codes.coarse_ids, codes.coarse_ids[kept])
     rows[3, :2] = 12, 0
-    with pytest.raises(FormatError, match="row 3 names list 12 of 12"):
+    with malformed("row 3 names list 12 of 12"):
         from_official_bytes(rows, book)
-    with pytest.raises(FormatError, match="rows of 8 bytes"):
+    with malformed("rows of 8 bytes"):
         from_official_bytes(rows[:, :7].copy(), book)
 
 
@@ -379,24 +378,22 @@ def official() -> Codebook:
 
 
 @pytest.mark.data
-def test_the_authors_index_is_read_as_faiss_reads_it() -> None:
+def test_the_authors_index_is_read_as_faiss_reads_it():
     faiss = pytest.importorskip("faiss")
-    book, rng = official(), np.random.default_rng(10)
-    assert book.coarse is not None
+    book, rng = official(), default_rng(10)
     assert book.centroids.shape == (128, 256, 4)
     dead = ~book.coarse.any(axis=1)
     assert (len(book.coarse), int(dead.sum())) == (1024, 170)
     codes = random_codes(rng, book, 400)
-    assert codes.coarse_ids is not None
     codes.coarse_ids[:170] = np.flatnonzero(dead)
     index = faiss.read_index(str(OFFICIAL_INDEX))
     assert_allclose(book.decode(codes), index.sa_decode(official_bytes(codes)), atol=1e-7)
 
 
 @pytest.mark.data
-def test_features_are_coded_as_with_the_authors_index() -> None:
+def test_features_are_coded_as_with_the_authors_index():
     faiss = pytest.importorskip("faiss")
-    book, rng = official(), np.random.default_rng(11)
+    book, rng = official(), default_rng(11)
     features = book.decode(random_codes(rng, book, 300))
     features += 0.02 * rng.standard_normal(features.shape).astype(np.float32)
     ours = official_bytes(book.encode(features))
@@ -406,9 +403,9 @@ def test_features_are_coded_as_with_the_authors_index() -> None:
 
 
 @pytest.mark.parametrize("kind", ["PQ", "IVFPQ", "IVFPQ with vectors", "IVFPQ, L2, no residual"])
-def test_indices_that_faiss_writes_are_read(kind: str, tmp_path: Path) -> None:
+def test_indices_that_faiss_writes_are_read(kind, tmp_path):
     faiss = pytest.importorskip("faiss")
-    points, path = clustered(np.random.default_rng(12), 2000, 24), tmp_path / "a.faiss"
+    points, path = clustered(default_rng(12), 2000, 24), tmp_path / "a.faiss"
     if kind == "PQ":
         index = faiss.IndexPQ(24, 6, 8)
         index.do_polysemous_training = False
@@ -431,14 +428,14 @@ def test_indices_that_faiss_writes_are_read(kind: str, tmp_path: Path) -> None:
         assert_array_equal(book.coarse, index.quantizer.reconstruct_n(0, 16))
 
 
-def test_other_indices_are_refused_by_name(tmp_path: Path) -> None:
+def test_other_indices_are_refused_by_name(tmp_path):
     faiss = pytest.importorskip("faiss")
     path = tmp_path / "flat.faiss"
     faiss.write_index(faiss.IndexFlatIP(24), str(path))
-    with pytest.raises(FormatError, match="IndexPQ"):
+    with malformed("IndexPQ"):
         read_faiss_codebook(path, SMALL)
     faiss.write_index(faiss.IndexPQ(24, 6, 4), str(path))
-    with pytest.raises(FormatError, match="8 bits"):
+    with malformed("8 bits"):
         read_faiss_codebook(path, SMALL)
-    with pytest.raises(InputError, match="no such file"):
+    with refused("no such file"):
         read_faiss_codebook(tmp_path / "none", SMALL)

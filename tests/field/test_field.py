@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import load_file, save_file
 from scipy.sparse import csr_array
 
 from drsplat.base import contents
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.errors import FormatError, MismatchError
 from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
 from drsplat.field.codes import Codebook, Mixture, train_codebook
 from drsplat.field.codes.mixture import MixtureCode
@@ -30,8 +31,9 @@ from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
 from places import SUPPORT
+from refusing import malformed, refused
 
-few = settings(derandomize=True, deadline=None, max_examples=40)
+few = settings(derandomize=True, max_examples=40)
 
 
 def same_field(a: LanguageField, b: LanguageField) -> None:
@@ -45,7 +47,7 @@ def same_field(a: LanguageField, b: LanguageField) -> None:
 
 
 def residual_field() -> LanguageField:
-    evidence, rng = random_evidence(np.random.default_rng(0)), np.random.default_rng(1)
+    evidence, rng = random_evidence(default_rng(0)), default_rng(1)
     coarse = np.concatenate([unit_rows(rng, 7, 32), np.zeros((2, 32), np.float32)])
     points = 0.5 * unit_rows(rng, 3000, 32)
     centroids = train_codebook(points, 16, encoder=TOY).centroids
@@ -53,21 +55,21 @@ def residual_field() -> LanguageField:
 
 
 def mixed_field() -> LanguageField:
-    evidence = random_evidence(np.random.default_rng(0))
+    evidence = random_evidence(default_rng(0))
     return build_field(evidence, SCENE, TOY, Mixture(3))
 
 
 @few
 @given(st.integers(0, 60), st.integers(0, 999))
-def test_columns_are_summed_as_scipy_does(count: int, seed: int) -> None:
+def test_columns_are_summed_as_scipy_does(count, seed):
     """To the bit, also of rows that come twice or are empty."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     evidence = random_evidence(rng)
     rows = rng.integers(0, len(evidence), count)
     assert_array_equal(evidence.column_sums(rows), evidence.weights[rows].sum(axis=0))
 
 
-def test_evidence_of_a_file_is_what_was_saved(tmp_path: Path) -> None:
+def test_evidence_of_a_file_is_what_was_saved(tmp_path):
     field = toy_field()
     field.save(tmp_path / "toy.field")
     stored = load_field(tmp_path / "toy.field").evidence
@@ -80,22 +82,21 @@ def test_evidence_of_a_file_is_what_was_saved(tmp_path: Path) -> None:
     assert_array_equal(other.entries.data, other.weights.data)
 
 
-def test_features_are_the_normalised_means_of_their_evidence() -> None:
-    evidence = random_evidence(np.random.default_rng(0))
+def test_features_are_the_normalised_means_of_their_evidence():
+    evidence = random_evidence(default_rng(0))
     field = build_field(evidence, SCENE, TOY)
     rows = evidence.weights.astype(np.float64) @ evidence.embeddings.astype(np.float64)
     norms = np.linalg.norm(rows, axis=1)
     assert_array_equal(field.gaussian_ids, np.flatnonzero(norms))
     assert 0 < len(field) < len(evidence)
     expected = rows[field.gaussian_ids] / norms[field.gaussian_ids, None]
-    assert field.evidence is not None
     assert_allclose(field.evidence.features(0, len(field)), expected, atol=1e-6)
     assert ((field.feature(slice(None)) * expected).sum(axis=1)).min() > 0.99
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field])
-def test_scores_are_cosines(make) -> None:  # type: ignore[no-untyped-def]
-    field, query = make(), 7 * unit_rows(np.random.default_rng(1), 1, 32)[0]
+def test_scores_are_cosines(make):
+    field, query = make(), 7 * unit_rows(default_rng(1), 1, 32)[0]
     decoded = field.codebook.decode(field.code.codes()).astype(np.float64)
     expected = decoded @ (query / 7) / np.linalg.norm(decoded, axis=1)
     assert_allclose(field.scores(query), expected, atol=1e-4)
@@ -103,8 +104,8 @@ def test_scores_are_cosines(make) -> None:  # type: ignore[no-untyped-def]
 
 @few
 @given(st.integers(1, 6), st.integers(0, 2**32))
-def test_relevancy_is_the_least_two_way_softmax(count: int, seed: int) -> None:
-    field, rng = toy_field(), np.random.default_rng(seed)
+def test_relevancy_is_the_least_two_way_softmax(count, seed):
+    field, rng = toy_field(), default_rng(seed)
     query, negatives = unit_rows(rng, 1, 32)[0], unit_rows(rng, count, 32)
     positive = field.scores(query).astype(np.float64)
     pairs = [(positive, field.scores(negative).astype(np.float64)) for negative in negatives]
@@ -121,22 +122,22 @@ def test_relevancy_is_the_least_two_way_softmax(count: int, seed: int) -> None:
 
 @few
 @given(st.floats(-1, 1), st.floats(-1, 1))
-def test_relevancy_of_scores(score: float, negative: float) -> None:
+def test_relevancy_of_scores(score, negative):
     value = relevancy_from_scores(np.array([score], "f"), np.array([negative], "f"))[0]
     assert value == pytest.approx(1 / (1 + np.exp(10 * (negative - score))), abs=1e-6)
 
 
-def test_relevancy_without_negatives_is_refused() -> None:
+def test_relevancy_without_negatives_is_refused():
     field, query = toy_field(), np.ones(32, np.float32)
-    with pytest.raises(InputError, match="with_negatives"):
+    with refused("with_negatives"):
         field.relevancy(query)
-    with pytest.raises(InputError, match="one or more negatives"):
+    with refused("one or more negatives"):
         field.with_negatives(np.empty((0, 32), np.float32))
-    with pytest.raises(InputError, match="texts"):
-        field.with_negatives(unit_rows(np.random.default_rng(0), 2, 32), ("one",))
+    with refused("texts"):
+        field.with_negatives(unit_rows(default_rng(0), 2, 32), ("one",))
 
 
-def test_dense_scores_have_a_fill_where_nothing_is_known() -> None:
+def test_dense_scores_have_a_fill_where_nothing_is_known():
     field = toy_field()
     scores = field.scores(np.ones(32, np.float32))
     dense = field.dense(scores, fill=-2)
@@ -145,7 +146,7 @@ def test_dense_scores_have_a_fill_where_nothing_is_known() -> None:
     assert_array_equal(dense[absent], -2)
 
 
-def test_an_explanation_names_the_photos_and_masks_with_the_largest_support() -> None:
+def test_an_explanation_names_the_photos_and_masks_with_the_largest_support():
     embeddings = np.eye(4, dtype=np.float32)[[0, 0, 1, 0]]
     masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
     weights = csr_array(np.array([[1, 3, 5, 0], [0, 0, 0, 2], [0] * 4, [0, 0, 1, 0]], np.float32))
@@ -156,11 +157,11 @@ def test_an_explanation_names_the_photos_and_masks_with_the_largest_support() ->
     assert field.explain(1, query) == [Explanation("b", 1, 1.0)]
     assert field.explain(2, query) == []  # pruned
     assert field.explain(3, query) == []  # nothing speaks for it
-    with pytest.raises(InputError, match="Gaussian 4 of a scene of 4"):
+    with refused("Gaussian 4 of a scene of 4"):
         field.explain(4, query)
 
 
-def test_rows_whose_embeddings_cancel_have_no_feature() -> None:
+def test_rows_whose_embeddings_cancel_have_no_feature():
     embeddings = np.array([[1, 0], [-1, 0], [0, 1]], np.float32)
     masks = MaskIds(("a",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
     weights = csr_array(np.array([[2, 2, 0], [0, 0, 1], [0, 0, 0], [1, 0, 0]], np.float32))
@@ -171,29 +172,28 @@ def test_rows_whose_embeddings_cancel_have_no_feature() -> None:
     assert len(field.evidence) == 2
 
 
-def test_a_field_is_the_same_to_the_bit_for_any_number_of_threads() -> None:
-    evidence = random_evidence(np.random.default_rng(2), rows=9000)
+def test_a_field_is_the_same_to_the_bit_for_any_number_of_threads():
+    evidence = random_evidence(default_rng(2), rows=9000)
     fields = [build_field(evidence, SCENE, TOY, threads=threads) for threads in (1, 2, 3)]
     for field in fields[1:]:
         same_field(field, fields[0])
 
 
-def test_building_shares_the_weights_and_never_copies_them() -> None:
-    evidence = random_evidence(np.random.default_rng(3))
+def test_building_shares_the_weights_and_never_copies_them():
+    evidence = random_evidence(default_rng(3))
     field = build_field(evidence, SCENE, TOY)
-    assert field.evidence is not None
     assert np.shares_memory(field.evidence.weights.data, evidence.weights.data)
     assert_array_equal(field.evidence.weights.toarray(), evidence.weights.toarray()[field.gaussian_ids])
 
 
-def test_some_rows_of_the_evidence() -> None:
-    evidence, index = random_evidence(np.random.default_rng(4)), np.array([5, 3, 3, 100])
+def test_some_rows_of_the_evidence():
+    evidence, index = random_evidence(default_rng(4)), np.array([5, 3, 3, 100])
     assert_array_equal(evidence.rows(index).weights.toarray(), evidence.weights.toarray()[index])
 
 
-def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence() -> None:
+def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence():
     """Columns out of order, and votes that neighbours lend."""
-    rng = np.random.default_rng(8)
+    rng = default_rng(8)
     evidence = random_evidence(rng)
     shuffled = rng.permutation(40)
     masks = MaskIds(evidence.masks.view_names, evidence.masks.views[shuffled], evidence.masks.ids[shuffled])
@@ -201,7 +201,6 @@ def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence(
     field = build_field(mixed_up, SCENE, TOY, Mixture(16))
     code = field.code
     assert isinstance(code, MixtureCode)
-    assert field.evidence is not None
     named = np.flatnonzero(code.atoms.masks >= 0)
     vectors = code.atoms.vectors(named)
     theirs = field.evidence.embeddings[code.atoms.masks[named]]
@@ -212,27 +211,21 @@ def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence(
     assert ((lent.feature(slice(None)) * own).sum(axis=1)).min() > 0.999
 
 
-def test_any_dimension_finds_a_number_of_parts() -> None:
+def test_any_dimension_finds_a_number_of_parts():
     for dim, parts in ((1, 1), (12, 4), (36, 4), (512, 128), (768, 128)):
-        evidence = random_evidence(np.random.default_rng(5), rows=40, dim=dim)
+        evidence = random_evidence(default_rng(5), rows=40, dim=dim)
         field = build_field(evidence, SCENE, EncoderIdentity("e", dim))
         assert field.codebook.num_subvectors == parts
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field, mixed_field])
-def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(  # type: ignore[no-untyped-def]
-    make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(make, tmp_path, monkeypatch):
     monkeypatch.setattr(contents, "MAX_READ_BYTES", 0)
-    negatives = unit_rows(np.random.default_rng(6), 2, 32)
+    negatives = unit_rows(default_rng(6), 2, 32)
     field = make().with_negatives(negatives, ("this", "that"))
     field.save(tmp_path / "a.field")
     again = load_field(tmp_path / "a.field")
     same_field(field, again)
-    assert again.evidence is not None
-    assert field.evidence is not None
-    assert again.negatives is not None
-    assert field.negatives is not None
     assert_array_equal(again.negatives.maxima, field.negatives.maxima)
     assert again.negatives.texts == ("this", "that")
     assert_array_equal(again.evidence.weights.toarray(), field.evidence.weights.toarray())
@@ -262,28 +255,28 @@ def is_mapped(array: np.ndarray) -> bool:
     return isinstance(base, np.memmap)
 
 
-def test_a_field_without_evidence_is_saved_without_it(tmp_path: Path) -> None:
+def test_a_field_without_evidence_is_saved_without_it(tmp_path):
     field = toy_field()
     bare = LanguageField(field.gaussian_ids, field.code, field.encoder, field.scene, field.num_gaussians)
     bare.save(tmp_path / "a.field")
     assert sorted(os.listdir(tmp_path / "a.field")) == ["codes.safetensors", "field.json"]
     again = load_field(tmp_path / "a.field")
     assert again.evidence is None
-    with pytest.raises(InputError, match="no evidence"):
+    with refused("no evidence"):
         again.explain(0, np.ones(32, np.float32))
 
 
-def test_saving_is_reproducible(tmp_path: Path) -> None:
+def test_saving_is_reproducible(tmp_path):
     for name in "ab":
         toy_field().save(tmp_path / name)
     for file in os.listdir(tmp_path / "a"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
-def test_saving_replaces_only_fields_and_only_when_told_to(tmp_path: Path) -> None:
+def test_saving_replaces_only_fields_and_only_when_told_to(tmp_path):
     path = tmp_path / "a.field"
     toy_field(0).save(path)
-    with pytest.raises(InputError, match="overwrite"):
+    with refused("overwrite"):
         toy_field(1).save(path)
     mapped = load_field(path)
     toy_field(1).save(path, overwrite=True)
@@ -291,18 +284,16 @@ def test_saving_replaces_only_fields_and_only_when_told_to(tmp_path: Path) -> No
     same_field(mapped, toy_field(0))  # still readable: its files live on until it is dropped
     precious = tmp_path / "photos"
     precious.mkdir()
-    with pytest.raises(InputError, match="not ours"):
+    with refused("not ours"):
         toy_field(1).save(precious, overwrite=True)
-    with pytest.raises(InputError, match="make it first"):
+    with refused("make it first"):
         toy_field(1).save(tmp_path / "none" / "a.field")
     assert sorted(os.listdir(tmp_path)) == ["a.field", "photos"]
 
 
 @pytest.mark.parametrize("exchange", [True, False])
 @pytest.mark.parametrize("step", ["write_tensors", "_take_place"])
-def test_a_failed_save_leaves_the_old_field(
-    exchange: bool, step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_save_leaves_the_old_field(exchange, step, tmp_path, monkeypatch):
     from drsplat.formats import field_folder
 
     path = tmp_path / "a.field"
@@ -337,14 +328,13 @@ KILLED = """
 
 
 @pytest.mark.slow
-def test_a_killed_save_leaves_one_whole_field(tmp_path: Path) -> None:
-    path, rng = tmp_path / "a.field", np.random.default_rng(7)
+def test_a_killed_save_leaves_one_whole_field(tmp_path):
+    path, rng = tmp_path / "a.field", default_rng(7)
     toy_field(0).save(path)
     known = {toy_field(seed).fingerprint for seed in (0, 1)}
     script = [sys.executable, "-c", textwrap.dedent(KILLED), str(SUPPORT), str(path)]
     for _ in range(3):
         with subprocess.Popen(script, stdout=subprocess.PIPE) as process:
-            assert process.stdout is not None
             assert process.stdout.readline() == b"ready\n"
             try:
                 process.wait(float(rng.uniform(0.005, 0.06)))
@@ -355,8 +345,8 @@ def test_a_killed_save_leaves_one_whole_field(tmp_path: Path) -> None:
         assert field.evidence is not None
 
 
-def test_another_scene_is_refused() -> None:
-    rng = np.random.default_rng(8)
+def test_another_scene_is_refused():
+    rng = default_rng(8)
 
     def gaussians(count: int) -> Gaussians:
         means, quats = rng.random((count, 3), np.float32), np.zeros((count, 4), np.float32)
@@ -372,7 +362,7 @@ def test_another_scene_is_refused() -> None:
         field.check_scene(scene.subset(np.arange(599)))
 
 
-def test_another_encoder_is_refused() -> None:
+def test_another_encoder_is_refused():
     field = toy_field()
     field.check_encoder(EncoderIdentity("toy", 32, ""))
     for other in (EncoderIdentity("toy", 64), EncoderIdentity("toy", 32, "w1")):
@@ -380,35 +370,35 @@ def test_another_encoder_is_refused() -> None:
             field.check_encoder(other)
     with pytest.raises(MismatchError, match=r"64 numbers.*toy \(32-d, weights w0\)"):
         field.scores(np.ones(64, np.float32))
-    with pytest.raises(InputError, match="not zero"):
+    with refused("not zero"):
         field.scores(np.zeros(32, np.float32))
-    evidence = random_evidence(np.random.default_rng(9))
+    evidence = random_evidence(default_rng(9))
     with pytest.raises(MismatchError, match="codebook is of"):
         build_field(evidence, SCENE, EncoderIdentity("other", 32), field.codebook)
     with pytest.raises(MismatchError, match="embeddings of 32 numbers"):
         build_field(evidence, SCENE, EncoderIdentity("toy", 16))
 
 
-def test_no_evidence_at_all_is_refused() -> None:
-    evidence = random_evidence(np.random.default_rng(10))
+def test_no_evidence_at_all_is_refused():
+    evidence = random_evidence(default_rng(10))
     empty = csr_array((600, 40), dtype=np.float32)
-    with pytest.raises(InputError, match="no Gaussian is under any mask"):
+    with refused("no Gaussian is under any mask"):
         build_field(Evidence(empty, evidence.masks, evidence.embeddings), SCENE, TOY)
 
 
-def test_evidence_that_does_not_fit_is_refused() -> None:
-    good = random_evidence(np.random.default_rng(11))
-    with pytest.raises(InputError, match="unit vectors"):
+def test_evidence_that_does_not_fit_is_refused():
+    good = random_evidence(default_rng(11))
+    with refused("unit vectors"):
         Evidence(good.weights, good.masks, 2 * good.embeddings)
-    with pytest.raises(InputError, match="per column"):
+    with refused("per column"):
         Evidence(good.weights, good.masks, good.embeddings[:-1])
-    with pytest.raises(InputError, match="view"):
+    with refused("view"):
         MaskIds(("a",), np.ones(3, np.int32), np.zeros(3, np.int32))
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field, mixed_field])
-def test_what_is_found_is_what_the_scores_say(make) -> None:  # type: ignore[no-untyped-def]
-    field, rng = make(), np.random.default_rng(11)
+def test_what_is_found_is_what_the_scores_say(make):
+    field, rng = make(), default_rng(11)
     queries = 3 * unit_rows(rng, 5, 32)
     scores = field.scores(queries)
     assert_array_equal(scores[3], field.scores(queries[3]))
@@ -419,7 +409,7 @@ def test_what_is_found_is_what_the_scores_say(make) -> None:  # type: ignore[no-
     assert_array_equal(best.index, scores.argmax(axis=0))
     assert_array_equal(best.scores, scores.max(axis=0))
     assert_array_equal(best.runner_up, np.sort(scores, axis=0)[-2])
-    with pytest.raises(InputError, match="with_negatives"):
+    with refused("with_negatives"):
         field.select_relevant(queries[0])
     compared = field.with_negatives(unit_rows(rng, 20, 32))
     for threshold in (0.3, 0.5, 0.55):
@@ -428,7 +418,7 @@ def test_what_is_found_is_what_the_scores_say(make) -> None:  # type: ignore[no-
         assert len(set(rows) ^ set(expected)) <= 1  # rounding at the edge
         assert_array_equal(theirs, scores[0, rows])
     for bad in (0.0, 1.0, float("nan")):
-        with pytest.raises(InputError, match="between 0 and 1"):
+        with refused("between 0 and 1"):
             compared.select_relevant(queries[0], bad)
     with pytest.raises(MismatchError, match="31 numbers"):
         field.best(queries[:, 1:])
@@ -437,7 +427,7 @@ def test_what_is_found_is_what_the_scores_say(make) -> None:  # type: ignore[no-
 def as_version_1(path: Path) -> None:
     """The folder as the first version wrote it: codes row by row, the codebook beside them."""
     field = load_field(path)
-    codes = field.code.codes().codes  # type: ignore[attr-defined]
+    codes = field.code.codes().codes
     rewritten(path / "codes.safetensors", grouped_codes=None, codes=codes)
     manifest = manifest_of(path)
     listed = manifest.pop("code")
@@ -446,36 +436,36 @@ def as_version_1(path: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field])
-def test_fields_of_the_first_version_are_read(make, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_fields_of_the_first_version_are_read(make, tmp_path):
     field = make()
     field.save(tmp_path / "a")
     as_version_1(tmp_path / "a")
     old = load_field(tmp_path / "a")
     same_field(old, field)
-    query = unit_rows(np.random.default_rng(12), 1, 32)[0]
+    query = unit_rows(default_rng(12), 1, 32)[0]
     assert_array_equal(old.scores(query), field.scores(query))
 
 
-def test_codes_begin_at_a_cache_line(tmp_path: Path) -> None:
+def test_codes_begin_at_a_cache_line(tmp_path):
     for seed, rows in enumerate((600, 601, 777)):
-        field = build_field(random_evidence(np.random.default_rng(seed), rows), SCENE, TOY)
+        field = build_field(random_evidence(default_rng(seed), rows), SCENE, TOY)
         field.save(tmp_path / str(seed))
         again = load_field(tmp_path / str(seed))
-        assert again.code.grouped.ctypes.data % 64 == 0  # type: ignore[attr-defined]
+        assert again.code.grouped.ctypes.data % 64 == 0
 
 
-def manifest_of(path: Path) -> dict:  # type: ignore[type-arg]
+def manifest_of(path: Path) -> dict:
     return json.loads((path / "field.json").read_text())
 
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    toy_field(0).with_negatives(unit_rows(np.random.default_rng(0), 2, 32)).save(tmp_path / "a")
+    toy_field(0).with_negatives(unit_rows(default_rng(0), 2, 32)).save(tmp_path / "a")
     return tmp_path / "a"
 
 
 @pytest.mark.parametrize("file", ["codes.safetensors", "evidence.safetensors", "field.json"])
-def test_files_of_two_fields_do_not_mix(file: str, saved: Path, tmp_path: Path) -> None:
+def test_files_of_two_fields_do_not_mix(file, saved, tmp_path):
     toy_field(1).save(tmp_path / "b")
     (saved / file).write_bytes((tmp_path / "b" / file).read_bytes())
     with pytest.raises(MismatchError, match="do not mix"):
@@ -483,9 +473,9 @@ def test_files_of_two_fields_do_not_mix(file: str, saved: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("file", ["codes", "evidence", "negatives"])
-def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
+def test_a_missing_file_is_noticed(file, saved):
     (saved / f"{file}.safetensors").unlink()
-    with pytest.raises(FormatError, match="incomplete"):
+    with malformed("incomplete"):
         load_field(saved)
 
 
@@ -507,7 +497,7 @@ def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
         ("negatives", ["one"], "1 negative texts for 2"),
     ],
 )
-def test_a_changed_manifest_is_refused(entry: str, value: object, message: str, saved: Path) -> None:
+def test_a_changed_manifest_is_refused(entry, value, message, saved):
     (saved / "field.json").write_text(json.dumps(sealed(manifest_of(saved) | {entry: value})))
     with pytest.raises((FormatError, MismatchError), match=message):
         load_field(saved)
@@ -547,13 +537,13 @@ def rewritten(path: Path, **changes: np.ndarray | None) -> None:
         ("negatives", {"embeddings": np.zeros((2, 31), np.float32)}),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(file: str, changes: dict[str, np.ndarray | None], saved: Path) -> None:
+def test_arrays_that_do_not_fit_are_refused(file, changes, saved):
     rewritten(saved / f"{file}.safetensors", **changes)
     with pytest.raises(FormatError):
         load_field(saved)
 
 
-def test_our_files_are_plain_safetensors(saved: Path, tmp_path: Path) -> None:
+def test_our_files_are_plain_safetensors(saved, tmp_path):
     ours, _ = map_tensors(saved / "codes.safetensors")
     theirs = load_file(saved / "codes.safetensors")
     assert ours.keys() == theirs.keys()
@@ -566,7 +556,7 @@ def test_our_files_are_plain_safetensors(saved: Path, tmp_path: Path) -> None:
         assert_array_equal(array, theirs[name])
 
 
-def test_rows_of_gaussians() -> None:
+def test_rows_of_gaussians():
     field = toy_field()
     ids = field.gaussian_ids.astype(np.int64)
     assert_array_equal(field.rows_of(ids[::-1]), np.arange(len(field))[::-1])

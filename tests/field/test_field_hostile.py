@@ -69,7 +69,6 @@ def field_with_objects(checksums: bool) -> dict[str, bytes]:
 def use_objects(path: Path) -> None:
     """Whatever loads must also work."""
     objects = load_field(path.parent).objects
-    assert objects is not None
     assert objects.thing_of().max(initial=-1) < len(objects)
     for row in range(0, len(objects.node_of), 100):
         objects.path(row)
@@ -133,7 +132,7 @@ def use_field(path: Path) -> None:
         ("negatives.safetensors", quota(300), False),
     ],
 )
-def test_damaged_fields(name: str, count: int, mixture: bool, tmp_path: Path, bounded_memory: None) -> None:
+def test_damaged_fields(name, count, mixture, tmp_path, bounded_memory):
     for file, content in field_files(mixture).items():
         (tmp_path / file).write_bytes(content)
     read = use_field if name != "field.json" else lambda path: load_field(path.parent)
@@ -141,7 +140,7 @@ def test_damaged_fields(name: str, count: int, mixture: bool, tmp_path: Path, bo
 
 
 @pytest.mark.slow
-def test_damaged_objects(tmp_path: Path, bounded_memory: None) -> None:
+def test_damaged_objects(tmp_path, bounded_memory):
     for file, content in field_with_objects(False).items():
         (tmp_path / file).write_bytes(content)
     with np.errstate(all="ignore"):
@@ -149,11 +148,10 @@ def test_damaged_objects(tmp_path: Path, bounded_memory: None) -> None:
 
 
 @pytest.mark.slow
-def test_damaged_objects_are_an_error_or_the_same(tmp_path: Path, bounded_memory: None) -> None:
+def test_damaged_objects_are_an_error_or_the_same(tmp_path, bounded_memory):
     for file, content in field_with_objects(True).items():
         (tmp_path / file).write_bytes(content)
     expected = with_objects()[0].objects
-    assert expected is not None
 
     def read(path: Path) -> None:
         found = load_field(path.parent).objects
@@ -166,7 +164,7 @@ def test_damaged_objects_are_an_error_or_the_same(tmp_path: Path, bounded_memory
 
 
 @pytest.mark.slow
-def test_damaged_tensors(tmp_path: Path, bounded_memory: None) -> None:
+def test_damaged_tensors(tmp_path, bounded_memory):
     arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.zeros((0, 3), "u1"), "c": np.ones(3, "f2")}
     write_tensors(tmp_path / "a", arrays, {"key": "value"})
     without_checksums(tmp_path / "a")
@@ -180,7 +178,7 @@ def test_damaged_tensors(tmp_path: Path, bounded_memory: None) -> None:
 
 
 @pytest.mark.slow
-def test_damaged_codebooks(tmp_path: Path, bounded_memory: None) -> None:
+def test_damaged_codebooks(tmp_path, bounded_memory):
     save_codebook(tiny_codebook(), tmp_path / "a")
     # the hash notices all damage but to the names of things that are not there
     assert survivors(tmp_path / "a", 2, load_codebook) < MUTANTS / 20
@@ -188,7 +186,7 @@ def test_damaged_codebooks(tmp_path: Path, bounded_memory: None) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
-def test_damaged_faiss_indices(residual: bool, tmp_path: Path, bounded_memory: None) -> None:
+def test_damaged_faiss_indices(residual, tmp_path, bounded_memory):
     path = tmp_path / "a.faiss"
     path.write_bytes(faiss_bytes(residual))
     assert read_faiss_codebook(path, TINY).hash == tiny_codebook(residual).hash
@@ -196,7 +194,7 @@ def test_damaged_faiss_indices(residual: bool, tmp_path: Path, bounded_memory: N
     assert 0 < survived < MUTANTS // 2
 
 
-def test_the_handwritten_index_is_what_faiss_reads(tmp_path: Path) -> None:
+def test_the_handwritten_index_is_what_faiss_reads(tmp_path):
     faiss = pytest.importorskip("faiss")
     path = tmp_path / "a.faiss"
     path.write_bytes(faiss_bytes(False))
@@ -236,7 +234,7 @@ def test_the_handwritten_index_is_what_faiss_reads(tmp_path: Path) -> None:
         (b'{"a":' + b"9" * 5000 + b"}", "JSON"),
     ],
 )
-def test_headers_that_lie(header: bytes, message: str, tmp_path: Path) -> None:
+def test_headers_that_lie(header, message, tmp_path):
     path = tmp_path / "a"
     header += b" " * (-len(header) % 8)
     path.write_bytes(len(header).to_bytes(8, "little") + header + bytes(4))
@@ -245,7 +243,7 @@ def test_headers_that_lie(header: bytes, message: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"1234567", b"\xff" * 8, b"\x10" + bytes(7) + b"{}"])
-def test_files_too_short_for_their_header(content: bytes, tmp_path: Path) -> None:
+def test_files_too_short_for_their_header(content, tmp_path):
     path = tmp_path / "a"
     path.write_bytes(content)
     with pytest.raises(FormatError):
@@ -253,7 +251,7 @@ def test_files_too_short_for_their_header(content: bytes, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("offset", [4, 37, 57, 90])  # dim, lists, coarse dim, coarse numbers
-def test_faiss_counts_are_checked_before_they_are_believed(offset: int, tmp_path: Path, bounded_memory: None) -> None:
+def test_faiss_counts_are_checked_before_they_are_believed(offset, tmp_path, bounded_memory):
     path = tmp_path / "a.faiss"
     content = bytearray(faiss_bytes(True))
     for value in (0, 2**31 - 1, 2**32 - 1):

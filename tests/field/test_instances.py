@@ -26,7 +26,7 @@ def compared(*regions: Region) -> Compared:
     return compare(regions, OWNERS, THINGS)
 
 
-def test_all_is_one_where_all_is_found_and_nothing_where_nothing_is() -> None:
+def test_all_is_one_where_all_is_found_and_nothing_where_nothing_is():
     assert set(numbers(compared(SECOND, FIRST)).values()) == {1.0}
     assert set(numbers(compared()).values()) == {0.0}
 
@@ -44,12 +44,12 @@ def test_all_is_one_where_all_is_found_and_nothing_where_nothing_is() -> None:
         ((region(0, 100, 0.9), region(150, 240, 0.9)), 0.5 * (1 + 1 / 2) / 2, 1 / 2),  # of equal scores, all or none
     ],
 )
-def test_by_hand(regions: tuple[Region, ...], precision: float, quality: float) -> None:
+def test_by_hand(regions, precision, quality):
     assert average_precision(compared(*regions), 0.5) == pytest.approx(precision)
     assert panoptic_quality(compared(*regions)) == pytest.approx(quality)
 
 
-def test_levels_are_strict_and_a_small_thing_is_void() -> None:
+def test_levels_are_strict_and_a_small_thing_is_void():
     half = compared(region(0, 80, 0.5), region(100, 150, 0.9))
     assert half.best.tolist() == [0.8, 0.5]
     assert average_precision(half, 0.8) == 0.0
@@ -84,7 +84,7 @@ def parts(labels: np.ndarray) -> list[set[int]]:
     return [set(labels[at : at + EACH].tolist()) for at in range(0, 3 * EACH, EACH)]
 
 
-def test_rivals_find_what_all_views_agree_on() -> None:
+def test_rivals_find_what_all_views_agree_on():
     same = evidence([0, 1, 2], [2, 0, 1], [1, 2, 0])
     for labels in (mask_clustering(same, boxes(), Agreement()), light_splat(same, Alike(0.5, 0.5, 10))):
         found = parts(labels)
@@ -93,7 +93,7 @@ def test_rivals_find_what_all_views_agree_on() -> None:
         assert sureness(same, np.unique(labels, return_inverse=True)[1]) == pytest.approx(1.0)
 
 
-def test_a_mask_of_two_things_is_left_out_by_one_rule_and_chains_by_the_other() -> None:
+def test_a_mask_of_two_things_is_left_out_by_one_rule_and_chains_by_the_other():
     union = evidence([0, 1, 2], [0, 1, 2], [0, 1, 2], [0, 0, 1])
     first, second, third = parts(mask_clustering(union, boxes(), Agreement()))
     assert len(first) == len(second) == len(third) == 1
@@ -103,7 +103,7 @@ def test_a_mask_of_two_things_is_left_out_by_one_rule_and_chains_by_the_other() 
     assert len(set.union(*parts(light_splat(union, Alike(0.6, 0.5, 10))))) > 1
 
 
-def test_a_row_between_two_masks_is_in_none_and_things_hang_together() -> None:
+def test_a_row_between_two_masks_is_in_none_and_things_hang_together():
     weights = csr_array(np.array([[0.6, 0.4], [0.9, 0.1]], np.float32))
     two = Evidence(weights, MaskIds(("a",), np.zeros(2, np.int32), np.arange(2, dtype=np.int32)), np.ones((2, 1), "f4"))
     assert dominant(two, 0.8).toarray().tolist() == [[0, 0], [1, 0]]
@@ -114,9 +114,9 @@ def test_a_row_between_two_masks_is_in_none_and_things_hang_together() -> None:
     assert set(labels[2 * EACH :]) == {-1}
 
 
-def test_wrong_masks_keep_each_photo_s_weight_and_move_whole_masks() -> None:
+def test_wrong_masks_keep_each_photo_s_weight_and_move_whole_masks():
     known = evidence(*([[0, 1, 2]] * 20))
-    room = Room(None, np.arange(300), known, OWNERS, CATEGORIES)  # type: ignore[arg-type]
+    room = Room(None, np.arange(300), known, OWNERS, CATEGORIES)
     moved = with_wrong(room, 40).evidence.weights
     views = known.masks.views
     np.testing.assert_array_equal(moved.toarray().reshape(300, 20, 3).sum(2), 1)
@@ -125,9 +125,9 @@ def test_wrong_masks_keep_each_photo_s_weight_and_move_whole_masks() -> None:
     np.testing.assert_array_equal(with_wrong(room, 0).evidence.weights.toarray(), known.weights.toarray())
 
 
-def test_regions_are_the_labels_without_what_has_none() -> None:
+def test_regions_are_the_labels_without_what_has_none():
     known = evidence([0, 1, 2], [0, 1, 2])
-    room = Room(None, np.arange(300) + 5, known, OWNERS, CATEGORIES)  # type: ignore[arg-type]
+    room = Room(None, np.arange(300) + 5, known, OWNERS, CATEGORIES)
     first, second = regions_of(room, np.repeat([-1, 9, 4], EACH))
     assert (first.ids[0], second.ids[0]) == (205, 105)
     assert (first.score, second.score) == (1.0, 1.0)

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
 
 from drsplat import Gaussians, View
 from drsplat.errors import InputError
@@ -86,7 +88,7 @@ def a_ball_before_a_wall() -> tuple[Gaussians, np.ndarray, list[View]]:
     return scene, np.append(pieces, np.full(len(wall), 2)).astype(np.int32), views_around(np.zeros(3), 5.0)
 
 
-def test_depth_goes_on_between_halves_of_a_ball_and_jumps_to_the_wall() -> None:
+def test_depth_goes_on_between_halves_of_a_ball_and_jumps_to_the_wall():
     scene, pieces, views = a_ball_before_a_wall()
     found = borders(scene, views, pieces)
     pairs = pairs_of(found)
@@ -98,7 +100,7 @@ def test_depth_goes_on_between_halves_of_a_ball_and_jumps_to_the_wall() -> None:
     assert found.areas.min() > 1000
 
 
-def test_two_colours_of_a_slanted_wall_have_no_jump() -> None:
+def test_two_colours_of_a_slanted_wall_have_no_jump():
     """Depth changes from pixel to pixel, by as much on either side of the border."""
     points = sheet((-4, -3, 0), (4, 3, 0), 0.08)
     points[:, 2] = 1.5 * points[:, 0]
@@ -108,7 +110,7 @@ def test_two_colours_of_a_slanted_wall_have_no_jump() -> None:
     assert counts[0] > 0.9 * counts[-1] > 50
 
 
-def test_what_stands_on_a_table_touches_it_and_is_no_part_of_it() -> None:
+def test_what_stands_on_a_table_touches_it_and_is_no_part_of_it():
     """In the valley between the two depth goes on as well: such pixels are not told as borders."""
     table, box = sheet((-3, 0, -3), (3, 0, 3), 0.08), sheet((-1, -2, 0), (1, -0.04, 0), 0.08)
     scene = spheres(np.concatenate([table, box]), 0.06)
@@ -120,18 +122,18 @@ def test_what_stands_on_a_table_touches_it_and_is_no_part_of_it() -> None:
     assert level < 0.2 * sum(counts[-1] for counts in pairs.values())
 
 
-def test_the_halves_of_a_ball_are_one_thing_and_the_wall_is_another() -> None:
+def test_the_halves_of_a_ball_are_one_thing_and_the_wall_is_another():
     scene, pieces, views = a_ball_before_a_wall()
     (thing,) = join(borders(scene, views, pieces), np.full(3, UNSURE))
     assert thing.members == [0, 1]
     assert thing.relief > 0.9
 
 
-def test_borders_are_the_same_at_any_number_of_threads() -> None:
+def test_borders_are_the_same_at_any_number_of_threads():
     scene, pieces, views = a_ball_before_a_wall()
     one, two = (borders(scene, views, pieces, threads=threads) for threads in (1, 2))
     for first, second in zip(one, two, strict=True):
-        np.testing.assert_array_equal(first, second)
+        assert_array_equal(first, second)
 
 
 def known(pairs: dict[tuple[int, int], tuple[int, int]], areas: list[int]) -> Borders:
@@ -145,20 +147,20 @@ DOLL = {(0, 1): (500, 0), (1, 2): (300, 0), (0, 3): (50, 1000), (1, 3): (20, 700
 """Face, hair and dress, before a wall."""
 
 
-def test_what_stands_out_together_is_one_thing() -> None:
+def test_what_stands_out_together_is_one_thing():
     """Closed form: of face, hair and dress 2300 pixels are in front, 130 level: 2300 / (2430 + 30)."""
     (thing,) = join(known(DOLL, [4000, 3000, 3000, 90_000]), np.full(4, UNSURE))
     assert thing.members == [0, 1, 2]
     assert thing.relief == pytest.approx(2300 / 2460)
 
 
-def test_what_fills_more_than_half_of_the_photos_is_the_room() -> None:
+def test_what_fills_more_than_half_of_the_photos_is_the_room():
     pairs = {(0, 1): (500, 0), (0, 2): (50, 1000), (1, 2): (20, 700)}
     assert join(known(pairs, [4000, 4000, 7000]), np.full(3, UNSURE)) == []
     assert len(join(known(pairs, [4000, 4000, 9000]), np.full(3, UNSURE))) == 1
 
 
-def test_what_masks_hold_as_a_whole_stays_a_thing() -> None:
+def test_what_masks_hold_as_a_whole_stays_a_thing():
     """Every photo has a mask of the third piece: it is left out where it is small, else nothing is joined."""
     sure = np.array([UNSURE, UNSURE, 0.8, UNSURE], np.float32)
     (thing,) = join(known(DOLL, [4000, 3000, 500, 90_000]), sure)
@@ -169,7 +171,7 @@ def test_what_masks_hold_as_a_whole_stays_a_thing() -> None:
     assert join(known(pairs, areas), np.array([UNSURE, whole, UNSURE])) == []
 
 
-def test_a_table_that_stands_out_does_not_take_the_plates_on_it() -> None:
+def test_a_table_that_stands_out_does_not_take_the_plates_on_it():
     pairs = {(0, 3): (0, 2000), (1, 0): (200, 20), (2, 0): (150, 20)}
     assert join(known(pairs, [40_000, 2000, 1500, 90_000]), np.full(4, UNSURE)) == []
 
@@ -181,21 +183,21 @@ CHIN = {(1, 2): (140, 340), (0, 3): (60, 100)}
 FOUR = [4500, 4500, 4500, 4500, 90_000]
 
 
-def test_a_head_and_a_body_are_one_thing_though_depth_jumps_between_them() -> None:
+def test_a_head_and_a_body_are_one_thing_though_depth_jumps_between_them():
     """Closed form: 2200 pixels are in front of the wall, 150 level with it; within, 1200 of 1640 pixels are level."""
     (thing,) = join(known(HEAD | BODY | CHIN, FOUR), np.full(5, UNSURE))
     assert thing.members == [0, 1, 2, 3]
     assert thing.relief == pytest.approx(2200 / 2380)
 
 
-def test_what_holds_together_by_a_touch_only_stays_apart() -> None:
+def test_what_holds_together_by_a_touch_only_stays_apart():
     """Depth has to go on along half of the borders within: here along 1200 of 3200 pixels."""
     jumps = {(1, 2): (140, 1500), (0, 3): (60, 500)}
     sets = join(known(HEAD | BODY | jumps, FOUR), np.full(5, UNSURE))
     assert [thing.members for thing in sets] == [[0, 1], [2, 3]]
 
 
-def test_a_thing_is_taken_out_of_what_it_stands_on() -> None:
+def test_a_thing_is_taken_out_of_what_it_stands_on():
     """A mug on a table: the table stands out little, and less than the mug: together they are no thing."""
     pairs = {(0, 1): (200, 300), (1, 2): (300, 700), (0, 2): (10, 600)}
     assert join(known(pairs, [3000, 9000, 90_000]), np.full(3, UNSURE)) == []
@@ -204,7 +206,7 @@ def test_a_thing_is_taken_out_of_what_it_stands_on() -> None:
 BOW = {(5, 0): (150, 30), (5, 4): (0, 120)}
 
 
-def test_what_lies_on_a_thing_hides_some_of_its_outline() -> None:
+def test_what_lies_on_a_thing_hides_some_of_its_outline():
     """A bow on the head that masks hold as a whole is no piece of the doll; its own outline counts for the doll's."""
     pairs = HEAD | BODY | CHIN | BOW
     (thing,) = join(known(pairs, [4500, 4500, 4500, 4500, 90_000, 600]), np.array([0.1] * 5 + [0.9], np.float32))
@@ -212,7 +214,7 @@ def test_what_lies_on_a_thing_hides_some_of_its_outline() -> None:
     assert thing.relief == pytest.approx((2200 + 120) / (2200 + 120 + 150 + 30))
 
 
-def test_a_head_and_a_body_that_are_each_the_best_around_themselves_are_united() -> None:
+def test_a_head_and_a_body_that_are_each_the_best_around_themselves_are_united():
     """No single piece of the body makes the head stand out more, and none of the head the body."""
     halves = {(0, 4): (60, 1000), (1, 4): (60, 1000), (0, 1): (700, 0), (2, 4): (60, 1000), (3, 4): (60, 1000),
               (2, 3): (700, 0), (0, 2): (120, 0), (1, 3): (120, 0)}  # fmt: skip
@@ -223,7 +225,7 @@ def test_a_head_and_a_body_that_are_each_the_best_around_themselves_are_united()
     assert thing.members == [0, 1, 2, 3]
 
 
-def test_what_stands_out_by_itself_stays_a_thing() -> None:
+def test_what_stands_out_by_itself_stays_a_thing():
     """A bottle beside a laptop of two pieces, level with it at its foot: 1010 of 1140 pixels are in front."""
     laptop = {(0, 3): (30, 700), (1, 3): (40, 600), (0, 1): (600, 0)}
     bottle = {(2, 3): (40, 950), (2, 1): (90, 60)}
@@ -234,16 +236,15 @@ def test_what_stands_out_by_itself_stays_a_thing() -> None:
     assert thing.members == [0, 1, 2]
 
 
-def test_relief_of_a_set_leaves_out_what_is_within() -> None:
+def test_relief_of_a_set_leaves_out_what_is_within():
     outlines = Outlines.of(known(DOLL, [4000, 3000, 3000, 90_000]))
     assert PieceSet(outlines, np.array([0, 1, 2])).relief == pytest.approx(2300 / 2460)
     assert PieceSet(outlines, np.array([0])).relief == pytest.approx(1000 / (1000 + 550 + 30)) == outlines.reliefs[0]
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 10), st.lists(st.integers(0, 9), max_size=30))
-def test_a_set_that_changes_is_the_set_counted_anew(seed: int, count: int, changes: list[int]) -> None:
-    outlines = Outlines.of(a_mesh(np.random.default_rng(seed), count))
+def test_a_set_that_changes_is_the_set_counted_anew(seed, count, changes):
+    outlines = Outlines.of(a_mesh(default_rng(seed), count))
     changed, members = PieceSet(outlines, np.array([0])), {0}
     for piece in changes:
         if piece < count and members ^ {piece}:
@@ -256,11 +257,10 @@ def test_a_set_that_changes_is_the_set_counted_anew(seed: int, count: int, chang
     assert changed.holds == (inner_level >= inner_front)
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 10))
-def test_refining_ends_where_no_single_change_helps(seed: int, count: int) -> None:
+def test_refining_ends_where_no_single_change_helps(seed, count):
     """Whatever set it begins with; and a set is never less than the seed that it is grown from."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     outlines, free = Outlines.of(a_mesh(rng, count)), np.ones(count + 1, bool)
     begun = PieceSet(outlines, grown(outlines, int(rng.integers(count)), free))
     ended = refined(outlines, begun.members, free)
@@ -296,11 +296,10 @@ def a_mesh(rng: np.random.Generator, count: int) -> Borders:
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 12))
-def test_sets_are_disjoint_and_follow_the_pieces(seed: int, count: int) -> None:
+def test_sets_are_disjoint_and_follow_the_pieces(seed, count):
     """Whatever the pieces are called."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     mesh, sure = a_mesh(rng, count), rng.random(count + 1).astype(np.float32)
     found = join(mesh, sure)
     members = [member for joined in found for member in joined.members]
@@ -320,7 +319,7 @@ def tree(parents: list[int], levels: list[int], node_of: list[int]) -> Tree:
     )
 
 
-def test_joined_things_are_parts_of_a_new_one() -> None:
+def test_joined_things_are_parts_of_a_new_one():
     """Nodes: a part of thing 1, things 1, 2 and 3, a group of 2 and 3. Things 1 and 2 are one: the group is crossed."""
     before = tree([1, -1, 4, 4, -1], [PART, THING, THING, THING, GROUP], [0, 1, 2, 3, 3, -1])
     after = with_joined(before, [Joined([0, 1], 0.9)])
@@ -331,7 +330,7 @@ def test_joined_things_are_parts_of_a_new_one() -> None:
     assert after.sure[3] == np.float32(0.9)
 
 
-def test_groups_that_hold_all_of_a_thing_and_more_stay() -> None:
+def test_groups_that_hold_all_of_a_thing_and_more_stay():
     """Things 0, 1, 2; a group of 0 and 1, in a group with 2. Once 0 and 1 are one the inner group says nothing new."""
     before = tree([3, 3, 4, 4, -1], [THING, THING, THING, GROUP, GROUP], [0, 1, 2, -1])
     after = with_joined(before, [Joined([0, 1], 0.8)])
@@ -340,23 +339,23 @@ def test_groups_that_hold_all_of_a_thing_and_more_stay() -> None:
     assert after.parents.tolist() == [2, 2, 4, 4, -1]
 
 
-def test_cameras_are_kept_with_how_columns_came_about() -> None:
+def test_cameras_are_kept_with_how_columns_came_about():
     views = views_around(np.zeros(3), 5.0, 3)
     come = Provenance(np.zeros((3, 2, 3)), np.zeros((3, 16), np.uint8), "avx2", None, cameras_of(views))
     again = come.of(np.array([2, 0])).views(["2.jpg", "0.jpg"])
     for view, expected in zip(again, (views[2], views[0]), strict=True):
         assert (view.name, view.width, view.height) == (expected.name, SIZE, SIZE)
-        np.testing.assert_array_equal(view.K, expected.K)
-        np.testing.assert_array_equal(view.cam_from_world, expected.cam_from_world)
+        assert_array_equal(view.K, expected.K)
+        assert_array_equal(view.cam_from_world, expected.cam_from_world)
     both = come.of(np.array([0])).with_views(come.of(np.array([1, 2])), np.array([2, 1, 0]))
-    np.testing.assert_array_equal(both.cameras, come.cameras[::-1])
+    assert_array_equal(both.cameras, come.cameras[::-1])
     unknown = replace(come, cameras=None)
     assert unknown.views(["a", "b", "c"]) == []
     assert come.with_views(unknown, np.arange(6)).cameras is None
 
 
 @pytest.mark.parametrize(("place", "value"), [(0, np.nan), (12, 0.0), (16, 0.0)])
-def test_cameras_that_are_none_are_refused(place: int, value: float) -> None:
+def test_cameras_that_are_none_are_refused(place, value):
     numbers = cameras_of(views_around(np.zeros(3), 5.0, 2))
     numbers[1, place] = value
     with pytest.raises(InputError, match="cameras: expected 18 finite numbers"):

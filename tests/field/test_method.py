@@ -27,7 +27,7 @@ def capture() -> tuple[ds.Gaussians, list[ds.View], dict[str, ds.ViewFeatures]]:
     return random_gaussians(500, seed=3), views[::-1], features
 
 
-def test_it_is_what_register_to_field_and_scores_do(capture) -> None:
+def test_it_is_what_register_to_field_and_scores_do(capture):
     gaussians, views, features = capture
     query = np.zeros(DIM, np.float32)
     query[[3, 40, 77, 100]] = 0.5  # of length 1 to the bit
@@ -38,7 +38,7 @@ def test_it_is_what_register_to_field_and_scores_do(capture) -> None:
     assert_array_equal(cosines(code, query), field.scores(query))
 
 
-def test_cosines_are_those_of_the_decoded_features(capture) -> None:
+def test_cosines_are_those_of_the_decoded_features(capture):
     ids, code = coded_features(*capture)
     query = 3 * unit_rows(1, 9)[0]
     decoded = code.decode(np.arange(len(ids))).astype(np.float64)
@@ -46,5 +46,5 @@ def test_cosines_are_those_of_the_decoded_features(capture) -> None:
     assert_allclose(cosines(code, query), expected, atol=2e-4)
 
 
-def test_a_smaller_k_keeps_less(capture) -> None:
+def test_a_smaller_k_keeps_less(capture):
     assert len(coded_features(*capture, topk=1)[0]) < len(coded_features(*capture)[0])

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 from test_objects_found import registered
@@ -29,7 +30,7 @@ from drsplat.formats.tiles import Tiles, read_tiles
 
 def row_of_things(count: int = 6, each: int = 150, seed: int = 0) -> tuple[ds.Gaussians, ds.LanguageField]:
     """Things along a line, and a plank under all of them, each with a mask in every view."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     things = rng.normal(0, 0.08, (count * each, 3)) + np.repeat(np.arange(count), each)[:, None] * [0.7, 0, 0]
     plank = rng.random((count * each, 3)) * [0.7 * count, 0.6, 0.02] - [0.35, 0.3, 0.5]
     owner = np.append(np.repeat(np.arange(count), each), np.full(count * each, count))
@@ -49,10 +50,9 @@ def divided(scene: ds.Gaussians, field: ds.LanguageField) -> Division:
     return finding.divided(field.evidence, scene.means[field.gaussian_ids])
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 300), st.integers(20, 400))
-def test_each_point_is_in_one_block_however_they_are_ordered(seed: int, count: int, most: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_each_point_is_in_one_block_however_they_are_ordered(seed, count, most):
+    rng = default_rng(seed)
     points, counts = rng.integers(0, 9, (count, 3)).astype(np.float32), rng.integers(0, 20, count)
     blocks = in_blocks(points, counts, most)
     inside = np.array([block.away(points) == 0 for block in blocks])
@@ -66,12 +66,12 @@ def test_each_point_is_in_one_block_however_they_are_ordered(seed: int, count: i
         assert_array_equal(block.high, again.high)
 
 
-def test_points_of_one_place_are_one_block() -> None:
+def test_points_of_one_place_are_one_block():
     assert len(in_blocks(np.ones((50, 3), np.float32), np.full(50, 9), 10)) == 1
     assert len(in_blocks(np.empty((0, 3), np.float32), np.empty(0, np.int64), 10)) == 1
 
 
-def test_a_plank_across_blocks_is_one_object_and_what_lies_on_it_others(small_blocks: None) -> None:
+def test_a_plank_across_blocks_is_one_object_and_what_lies_on_it_others(small_blocks):
     scene, field = row_of_things()
     assert len(divided(scene, field).blocks) > 2
     objects = finding.find_objects(field, scene)
@@ -84,7 +84,7 @@ def test_a_plank_across_blocks_is_one_object_and_what_lies_on_it_others(small_bl
     assert len({int(np.bincount(numbers[(owner == k) & (numbers >= 0)]).argmax()) for k in range(7)}) == 7
 
 
-def test_one_block_has_the_forest_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_block_has_the_forest_of_the_whole(monkeypatch):
     scene, field = row_of_things(seed=1)
     whole = finding.find_objects(field, scene)
     monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
@@ -95,24 +95,22 @@ def test_one_block_has_the_forest_of_the_whole(monkeypatch: pytest.MonkeyPatch) 
     assert_allclose(np.sort(found.sure), np.sort(whole.sure), atol=1e-6)
 
 
-def test_the_order_of_rows_changes_nothing(small_blocks: None) -> None:
+def test_the_order_of_rows_changes_nothing(small_blocks):
     scene, field = row_of_things(seed=2)
     evidence, points = field.evidence, scene.means[field.gaussian_ids]
-    assert evidence is not None
-    order = np.random.default_rng(3).permutation(len(evidence))
+    order = default_rng(3).permutation(len(evidence))
     one, other = finding.tree_of(evidence, points), finding.tree_of(evidence.rows(order), points[order])
     assert_array_equal(one.tree.node_of[order], other.tree.node_of)
     assert_array_equal(one.tree.parents, other.tree.parents)
     assert_array_equal(one.tree.sure, other.tree.sure)
 
 
-def test_fits_are_those_of_the_forest() -> None:
+def test_fits_are_those_of_the_forest():
     """Of nodes of a block that is all of the scene: the sums of their rows have the fit that the kernel found."""
     scene, field = row_of_things(seed=4)
     division = divided(scene, field)
     (block,) = division.blocks
     nodes = nodes_of(division.rows(block), division.thresholds, division.rule)
-    assert field.evidence is not None
     forest = united([nodes], division.masses).forest
     place = np.zeros((len(nodes.parents), len(field.evidence)), np.float32)
     for row, node in zip(nodes.rows, nodes.lowest.tolist(), strict=True):
@@ -124,7 +122,7 @@ def test_fits_are_those_of_the_forest() -> None:
     assert_array_equal(forest.sizes, place.sum(axis=1))
 
 
-def test_what_blocks_cut_off_is_judged_by_all_of_its_rows(small_blocks: None) -> None:
+def test_what_blocks_cut_off_is_judged_by_all_of_its_rows(small_blocks):
     scene, field = row_of_things(seed=5)
     division = divided(scene, field)
     parts = list(at_once(division))
@@ -145,7 +143,6 @@ def in_tiles_of(folder: Path, seed: int = 0) -> tuple[Tiles, ds.LanguageField]:
     ds.write_gaussians(folder / "scene.ply", scene)
     tiles = cut(blocks_of([folder / "scene.ply"]), folder / "scene.tiles", 250)
     order = np.concatenate([tiles.gaussians().extra["source_row"]]).astype(np.int64)
-    assert field.evidence is not None
     whole = field.evidence.rows(order)
     made = ds.Registration(whole, tiles.fingerprint, field.encoder).to_field()
     return tiles, made
@@ -161,7 +158,7 @@ def looking(scene: Tiles) -> list[ds.View]:
 
 
 @pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
-def test_objects_of_tiles_are_those_of_the_whole(tmp_path: Path, small_blocks: None, launcher: object) -> None:
+def test_objects_of_tiles_are_those_of_the_whole(tmp_path, small_blocks, launcher):
     tiles, field = in_tiles_of(tmp_path)
     views = looking(tiles)
     seen = replace(field.evidence.masks, view_names=(*(view.name for view in views), "other.jpg"))
@@ -182,7 +179,7 @@ def test_objects_of_tiles_are_those_of_the_whole(tmp_path: Path, small_blocks: N
     assert made == {damaged}  # nothing else is done again
 
 
-def test_a_killed_worker_costs_its_block_alone(tmp_path: Path, small_blocks: None) -> None:
+def test_a_killed_worker_costs_its_block_alone(tmp_path, small_blocks):
     """Cut off while it writes: what it left is no file of a block, and the others stay."""
     tiles, field = in_tiles_of(tmp_path, seed=1)
     how = {"parts": str(tmp_path / "parts"), "views": [], "threads": 1}
@@ -202,14 +199,14 @@ class Stopped(OneProcess):
     def __init__(self, most: int) -> None:
         self.most = most
 
-    def results(self, work, items):  # type: ignore[no-untyped-def]
+    def results(self, work, items):
         for number in range(len(items)):
             if number == self.most:
                 raise KeyboardInterrupt
             yield work(items[number])
 
 
-def test_a_damaged_tile_is_told(tmp_path: Path) -> None:
+def test_a_damaged_tile_is_told(tmp_path):
     tiles, field = in_tiles_of(tmp_path)
     file = next((tmp_path / "scene.tiles").glob("*.shapes.safetensors"))
     file.write_bytes(file.read_bytes()[:-9])
@@ -217,9 +214,7 @@ def test_a_damaged_tile_is_told(tmp_path: Path) -> None:
         in_tiles.find_objects(field, tiles, parts=str(tmp_path / "parts"), views=[])
 
 
-def test_no_room_is_told_and_nothing_is_lost(
-    tmp_path: Path, small_blocks: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_room_is_told_and_nothing_is_lost(tmp_path, small_blocks, monkeypatch):
     tiles, field = in_tiles_of(tmp_path)
     how = {"parts": str(tmp_path / "parts"), "views": [], "threads": 1}
     writing, count = store.write_tensors, 0
@@ -229,7 +224,7 @@ def test_no_room_is_told_and_nothing_is_lost(
         count += ".nodes." in path.name
         if count == 2:
             raise OSError(28, "No space left on device", str(path))
-        writing(path, *given, **more)  # type: ignore[arg-type]
+        writing(path, *given, **more)
 
     monkeypatch.setattr(store, "write_tensors", full)
     with pytest.raises(OSError, match="No space left"):
@@ -241,7 +236,7 @@ def test_no_room_is_told_and_nothing_is_lost(
     assert kept.stat().st_mtime_ns == before
 
 
-def test_labels_stay_when_objects_are_found_by_workers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_labels_stay_when_objects_are_found_by_workers(tmp_path, capsys):
     _, field = in_tiles_of(tmp_path)
     field.save(tmp_path / "s.field")
     command = ["objects", str(tmp_path / "s.field"), "--scene", str(tmp_path / "scene.tiles")]

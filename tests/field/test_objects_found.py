@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import Gaussians, LanguageField, Registration, View
 from drsplat.errors import InputError
@@ -33,7 +35,7 @@ def forest(parents: list[int], sizes: list[int], fits: list[float], spreads: lis
     )
 
 
-def test_a_whole_that_masks_fit_is_better_than_its_halves() -> None:
+def test_a_whole_that_masks_fit_is_better_than_its_halves():
     """Closed form: 4 sqrt(0.81) = 3.6 against 2 sqrt(0.64) + 2 sqrt(0.64) = 3.2, and the other way round."""
     parents = np.array([2, 2, -1], np.int32)
     assert best_nodes(parents, np.array([1.6, 1.6, 3.6])).tolist() == [False, False, True]
@@ -41,11 +43,10 @@ def test_a_whole_that_masks_fit_is_better_than_its_halves() -> None:
     assert best_nodes(parents, np.array([1.6, -1.0, -1.0])).tolist() == [True, False, False]
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 11))
-def test_the_chosen_set_is_the_best_of_all(seed: int, count: int) -> None:
+def test_the_chosen_set_is_the_best_of_all(seed, count):
     """Against all sets of nodes of which none is above another."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     parents = np.array([rng.integers(k + 1, count + 1) if k < count - 1 else count for k in range(count)])
     parents = np.where(parents == count, -1, parents).astype(np.int32)
     worth = np.where(rng.random(count) < 0.2, -1.0, rng.random(count))
@@ -65,7 +66,7 @@ def test_the_chosen_set_is_the_best_of_all(seed: int, count: int) -> None:
     assert worth[found].sum() == pytest.approx(best)
 
 
-def test_levels_of_a_small_forest() -> None:
+def test_levels_of_a_small_forest():
     """Rows 0 to 5; 6 = {0, 1}, 7 = {2, 3} make the thing 8; 9 = {4, 5}; 10 holds both: a group, as 11 is more."""
     parents = [6, 6, 7, 7, 9, 9, 8, 8, 10, 10, 11, -1]
     sizes = [20] * 6 + [40, 40, 80, 40, 120, 300]
@@ -74,10 +75,10 @@ def test_levels_of_a_small_forest() -> None:
     assert chosen.levels.tolist() == [PART, PART, THING, THING, GROUP]
     assert chosen.node_of.tolist() == [0, 0, 1, 1, 3, 3]
     assert chosen.parents.tolist() == [2, 2, 4, 4, -1]
-    np.testing.assert_allclose(chosen.sure, [0.6, 0.6, 0.9, 0.8, 0.1])
+    assert_allclose(chosen.sure, [0.6, 0.6, 0.9, 0.8, 0.1])
 
 
-def test_a_plate_is_not_the_table_that_it_is_on() -> None:
+def test_a_plate_is_not_the_table_that_it_is_on():
     """Rows 0 to 4. 5 = {0} is the plate, 6 = {1, 2} and 7 = {3} the table, 8 = {5, 6}, and 9 all: the best thing."""
     parents, sizes = [5, 6, 6, 7, -1, 8, 8, 9, 9, -1], [10] * 5 + [40, 800, 800, 840, 1640]
     fits = [0.0] * 5 + [0.3, 0.5, 0.5, 0.5, 0.7]
@@ -85,13 +86,13 @@ def test_a_plate_is_not_the_table_that_it_is_on() -> None:
     assert chosen.levels.tolist() == [THING, PART, PART, THING, GROUP]
     assert chosen.parents.tolist() == [4, 3, 3, 4, -1]
     assert chosen.node_of.tolist() == [0, 1, 1, 2, -1]
-    np.testing.assert_allclose(chosen.sure, [0.3, 0.5, 0.5, 0.7, 0.7])
+    assert_allclose(chosen.sure, [0.3, 0.5, 0.5, 0.7, 0.7])
     assert choose(forest(parents, sizes, [*fits[:5], 0.1, *fits[6:]]), 5, 30).levels.tolist() == [PART, PART, THING]
     large = [*sizes[:5], 200, *sizes[6:]]
     assert THING not in choose(forest(parents, large, fits), 5, 30).levels[:-1]
 
 
-def test_things_that_look_unlike_are_not_one() -> None:
+def test_things_that_look_unlike_are_not_one():
     parents, sizes = [2, 2, -1], [40, 40, 80]
     alike = choose(forest(parents, sizes, [0.5, 0.5, 0.9], [0, 0, 0.1]), 2, 30)
     unlike = choose(forest(parents, sizes, [0.5, 0.5, 0.9], [0, 0, 0.6]), 2, 30)
@@ -139,8 +140,8 @@ def clusters(rng: np.random.Generator, count: int, each: int) -> tuple[np.ndarra
     return owner, rng.normal(0, 0.1, (count * each, 3)) + owner[:, None] * np.array([0.35, 0, 0])
 
 
-def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    owner, points = clusters(np.random.default_rng(0), 3, 200)
+def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch):
+    owner, points = clusters(default_rng(0), 3, 200)
     scene, field = registered(7, owner, points, 3)
     assert field.evidence is not None
     whole = field.evidence
@@ -157,8 +158,8 @@ def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch: pytest.M
     assert find_objects(field, scene).num_views.tolist() == [7, 7, 7]  # described from all
 
 
-def test_three_things_side_by_side_are_three_objects() -> None:
-    owner, points = clusters(np.random.default_rng(0), 3, 200)
+def test_three_things_side_by_side_are_three_objects():
+    owner, points = clusters(default_rng(0), 3, 200)
     scene, field = registered(4, owner, points, 3)
     objects = find_objects(field, scene)
     assert len(objects) == 3
@@ -167,27 +168,27 @@ def test_three_things_side_by_side_are_three_objects() -> None:
     assert all(len(np.unique(numbers[(owner == k) & (numbers >= 0)])) == 1 for k in range(3))
     again = find_objects(field, scene, threads=5)
     for name, array in objects.tensors().items():
-        np.testing.assert_array_equal(array, again.tensors()[name])
+        assert_array_equal(array, again.tensors()[name])
 
 
 @pytest.mark.parametrize("masks", [1, 2])
-def test_one_view_is_enough_to_say_something(masks: int) -> None:
-    owner, points = clusters(np.random.default_rng(1), masks, 100)
+def test_one_view_is_enough_to_say_something(masks):
+    owner, points = clusters(default_rng(1), masks, 100)
     scene, field = registered(1, owner, points, masks)
     assert len(find_objects(field, scene)) == masks
 
 
-def test_many_masks_of_one_pixel_are_no_objects() -> None:
+def test_many_masks_of_one_pixel_are_no_objects():
     """A mask for each Gaussian in each view: nothing belongs together, and nothing breaks."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     scene, field = registered(3, np.arange(400), rng.random((400, 3)), 400)
     objects = find_objects(field, scene)
     assert len(objects.node_of) == 400
     assert len(find_objects(*reversed(registered(1, np.zeros(3, int), rng.random((3, 3)), 1)))) == 0
 
 
-def test_a_field_without_evidence_says_what_to_do() -> None:
-    owner, points = clusters(np.random.default_rng(3), 2, 50)
+def test_a_field_without_evidence_says_what_to_do():
+    owner, points = clusters(default_rng(3), 2, 50)
     scene, field = registered(2, owner, points, 2)
     with pytest.raises(InputError, match="without: register again"):
         find_objects(replace(field, evidence=None), scene)
@@ -197,7 +198,7 @@ SCENE = Path(__file__).parents[2] / "world" / "scenes" / "room_5"
 
 
 @pytest.mark.slow
-def test_the_true_things_of_a_room_are_objects() -> None:
+def test_the_true_things_of_a_room_are_objects():
     """With true masks nearly each thing of 60 Gaussians is one object; the number is that of the page, less some."""
     from benchmarks.suite.masks import features_of
     from benchmarks.suite.scenes import owners, read_scene
@@ -223,7 +224,7 @@ def test_the_true_things_of_a_room_are_objects() -> None:
 
 
 @pytest.mark.slow
-def test_objects_are_the_same_wherever_and_however_large_a_room_is(tmp_path: Path) -> None:
+def test_objects_are_the_same_wherever_and_however_large_a_room_is(tmp_path):
     """Rounded to float32 at z = 100, Gaussians of nearly one depth would change places."""
     from benchmarks.suite.masks import features_of
     from benchmarks.suite.scenes import read_scene

@@ -50,7 +50,7 @@ def ask(field: ds.LanguageField, name: str) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_parts_of_a_real_scene_are_found_again(guitar: ds.Gaussians) -> None:
+def test_parts_of_a_real_scene_are_found_again(guitar):
     views = orbit(guitar, UP, 18, 320)
     parts = divide(guitar, 12)
     findings = search_parts(guitar, views, parts)
@@ -63,7 +63,7 @@ def test_parts_of_a_real_scene_are_found_again(guitar: ds.Gaussians) -> None:
     assert findings.wrong[inside].mean() < 0.01
 
 
-def test_the_cameras_show_the_whole_scene_upright(guitar: ds.Gaussians) -> None:
+def test_the_cameras_show_the_whole_scene_upright(guitar):
     for view in orbit(guitar, UP, 6, 200):
         alpha = ds.render(guitar, view).alpha
         border = np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]])
@@ -73,7 +73,7 @@ def test_the_cameras_show_the_whole_scene_upright(guitar: ds.Gaussians) -> None:
         assert thin.sum() < thick.sum()  # the neck is above the body
 
 
-def test_files_hold_what_was_rendered(guitar: ds.Gaussians, capture: Path) -> None:
+def test_files_hold_what_was_rendered(guitar, capture):
     views = {view.name: view for view in orbit(guitar, UP, 15, 400)}
     read = ds.read_views(capture)
     assert [view.name for view in read] == sorted(views)
@@ -84,9 +84,7 @@ def test_files_hold_what_was_rendered(guitar: ds.Gaussians, capture: Path) -> No
 
 
 @pytest.mark.parametrize("colour", ["brown", "yellow", "black", "grey"])
-def test_what_is_found_has_the_colour_that_was_asked_for(
-    guitar: ds.Gaussians, capture: Path, field: ds.LanguageField, colour: str
-) -> None:
+def test_what_is_found_has_the_colour_that_was_asked_for(guitar, capture, field, colour):
     scores = ask(field, colour)
     chosen = np.zeros((len(guitar), 1), np.float32)
     chosen[field.gaussian_ids[scores > THRESHOLD]] = 1
@@ -103,12 +101,12 @@ def test_what_is_found_has_the_colour_that_was_asked_for(
 
 
 @pytest.mark.parametrize("colour", ["green", "blue", "red"])
-def test_a_colour_that_is_not_there_is_not_found(guitar: ds.Gaussians, field: ds.LanguageField, colour: str) -> None:
+def test_a_colour_that_is_not_there_is_not_found(guitar, field, colour):
     scores = ask(field, colour)
     assert (scores > THRESHOLD).sum() < 0.001 * len(guitar)
 
 
-def test_one_scene_in_two_formats_looks_the_same() -> None:
+def test_one_scene_in_two_formats_looks_the_same():
     scenes = [ds.read_gaussians(SPLATS / f"biker.{suffix}") for suffix in ("spz", "compressed.ply")]
     view = orbit(scenes[0], UP, 3, 300)[1]
     spz, ply = (ds.render(scene, view) for scene in scenes)

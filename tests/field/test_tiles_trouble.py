@@ -56,9 +56,7 @@ def made_by_tasks(parts: Path) -> dict[str, int]:
 
 
 @pytest.mark.slow
-def test_a_full_disk_at_any_kind_of_file_is_told_and_loses_nothing(
-    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_at_any_kind_of_file_is_told_and_loses_nothing(capture, tmp_path, monkeypatch):
     names: list[str] = []
     new_file, refused = replacing._new_file, ""
 
@@ -84,7 +82,7 @@ def test_a_full_disk_at_any_kind_of_file_is_told_and_loses_nothing(
 
 
 @pytest.mark.parametrize("step", ["features", "objects"])
-def test_a_tile_that_is_damaged_between_steps_is_told(capture: Path, tmp_path: Path, step: str) -> None:
+def test_a_tile_that_is_damaged_between_steps_is_told(capture, tmp_path, step):
     tiles, parts = read_tiles(capture / "scene.tiles"), tmp_path / "parts"
     made = register_tiles(tiles, *inputs(capture), parts=parts, threads=1)
     field = made.to_field(ds.PQ(), threads=1)
@@ -100,9 +98,7 @@ def test_a_tile_that_is_damaged_between_steps_is_told(capture: Path, tmp_path: P
 
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", [HERE, Processes(2)], ids=["here", "processes"])
-def test_an_object_store_holds_the_work_of_every_step(
-    capture: Path, tmp_path: Path, launcher: OneProcess | Processes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_object_store_holds_the_work_of_every_step(capture, tmp_path, launcher, monkeypatch):
     pytest.importorskip("fsspec", reason="needs fsspec")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.sparse import csr_array
 
 from drsplat.field.forest import PART, THING, check_forest
@@ -51,8 +52,8 @@ def things_of(tree: Tree) -> list[set[int]]:
     return [{region for region in range(4) if tree.parents[first[region]] == whole} for whole in wholes]
 
 
-def test_a_print_and_the_rest_of_its_sheet_are_one_thing() -> None:
-    rng = np.random.default_rng(0)
+def test_a_print_and_the_rest_of_its_sheet_are_one_thing():
+    rng = default_rng(0)
     tree = with_voted(pieces(), votes_of([photo_of(rng) for _ in range(6)]))
     assert things_of(tree) == [{1, 2}]
     assert (tree.levels == PART).sum() == 2
@@ -60,20 +61,20 @@ def test_a_print_and_the_rest_of_its_sheet_are_one_thing() -> None:
     assert tree.sure[whole] == pytest.approx(0.9)  # every photo has the sheet, outlined as strongly
 
 
-def test_what_is_outlined_more_strongly_by_itself_stays_a_thing() -> None:
-    rng = np.random.default_rng(0)
+def test_what_is_outlined_more_strongly_by_itself_stays_a_thing():
+    rng = default_rng(0)
     strong = with_voted(pieces(), votes_of([photo_of(rng, sheet=0.5, inner=0.9) for _ in range(6)]))
     assert things_of(strong) == []
 
 
-def test_a_thing_and_the_ground_are_not_joined() -> None:
+def test_a_thing_and_the_ground_are_not_joined():
     """Their union is a node too, and reaches the photo's frame."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     tree = with_voted(pieces(), votes_of([photo_of(rng, sheet=0.2, inner=0.2, cup=0.1) for _ in range(6)]))
     assert things_of(tree) == []
 
 
-def test_most_photos_decide() -> None:
+def test_most_photos_decide():
     """In some the sheet's outline is taken for the print's: there its union is that of print and ground."""
 
     def misled(tree: RegionTree) -> RegionTree:
@@ -81,30 +82,30 @@ def test_most_photos_decide() -> None:
         return RegionTree(tree.labels, pairs, tree.touching, tree.lengths, tree.strengths)
 
     for wrong, joined in ((2, [{1, 2}]), (5, [])):
-        rng = np.random.default_rng(1)
+        rng = default_rng(1)
         trees = [
             misled(tree) if number < wrong else tree for number, tree in enumerate(photo_of(rng) for _ in range(7))
         ]
         assert things_of(with_voted(pieces(), votes_of(trees))) == joined
 
 
-def test_the_order_of_photos_does_not_matter() -> None:
-    rng = np.random.default_rng(2)
+def test_the_order_of_photos_does_not_matter():
+    rng = default_rng(2)
     trees = [photo_of(rng, *rng.uniform(0.3, 0.9, 3)) for _ in range(8)]
     one, other = (with_voted(pieces(), votes_of(some)) for some in (trees, trees[::-1]))
     for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-def test_photos_that_show_nothing_do_not_vote() -> None:
-    rng = np.random.default_rng(3)
+def test_photos_that_show_nothing_do_not_vote():
+    rng = default_rng(3)
     votes = votes_of([photo_of(rng) for _ in range(4)])()
     blind = [vote._replace(weights=csr_array(vote.weights.shape, dtype=np.float32)) for vote in votes[:2]]
     assert things_of(with_voted(pieces(), lambda: [*votes, *blind, *blind])) == [{1, 2}]
     assert things_of(with_voted(pieces(), lambda: blind)) == []
 
 
-def test_of_sets_that_share_a_piece_the_one_that_gains_most_is_taken() -> None:
+def test_of_sets_that_share_a_piece_the_one_that_gains_most_is_taken():
     sets = [(0, 1), (1, 2), (3, 4)]
     found = Worth(np.array([0.6, 0.9, 0.5]), np.zeros(3))
     alone = Worth(np.full(6, 0.2), np.zeros(6))

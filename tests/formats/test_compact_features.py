@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from test_embedding import a_view
 
@@ -34,7 +35,7 @@ def bounded_memory() -> Iterator[None]:
 
 def blocks(seed: int = 0, levels: int = 4, count: int = 9) -> np.ndarray:
     """Maps of large areas, as masks are."""
-    small = np.random.default_rng(seed).integers(-1, count, (levels, 6, 8))
+    small = default_rng(seed).integers(-1, count, (levels, 6, 8))
     return small.repeat(30, 1).repeat(30, 2).astype(np.int32)
 
 
@@ -43,8 +44,8 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("maps", [blocks(), blocks(1)[:, :7, :5].copy(), blocks(2, 1)[0]])
-def test_both_forms_hold_the_same_and_turn_into_each_other(maps: np.ndarray, tmp_path: Path) -> None:
-    rows = unit_rows(np.random.default_rng(1), 9, 16)
+def test_both_forms_hold_the_same_and_turn_into_each_other(maps, tmp_path):
+    rows = unit_rows(default_rng(1), 9, 16)
     write_features(tmp_path / "theirs", "cam0/a", maps, rows)
     theirs = read_features(tmp_path / "theirs")
     write_features(tmp_path / "ours", "cam0/a", *theirs.stored("cam0/a"), form="compact")
@@ -60,8 +61,8 @@ def test_both_forms_hold_the_same_and_turn_into_each_other(maps: np.ndarray, tmp
     assert files_of(tmp_path / "back") == files_of(tmp_path / "theirs")
 
 
-def test_alike_levels_are_kept_once_and_it_is_small(tmp_path: Path) -> None:
-    rows = unit_rows(np.random.default_rng(1), 9, 16)
+def test_alike_levels_are_kept_once_and_it_is_small(tmp_path):
+    rows = unit_rows(default_rng(1), 9, 16)
     write_features(tmp_path, "four", blocks(), rows, form="compact")
     write_features(tmp_path, "one", np.stack([blocks()[3]] * 4), rows, form="compact")
     assert len(read_compact(tmp_path / f"four{COMPACT}").maps) == 4
@@ -71,14 +72,14 @@ def test_alike_levels_are_kept_once_and_it_is_small(tmp_path: Path) -> None:
     assert_array_equal(FeatureFolder(tmp_path, 0).stored("many")[0], blocks(0, 4, 70_000))
 
 
-def test_a_photo_in_two_forms_and_unknown_forms_are_refused(tmp_path: Path) -> None:
-    rows = unit_rows(np.random.default_rng(1), 9, 16)
+def test_a_photo_in_two_forms_and_unknown_forms_are_refused(tmp_path):
+    rows = unit_rows(default_rng(1), 9, 16)
     write_features(tmp_path, "a", blocks(), rows)
     theirs = files_of(tmp_path)
     with pytest.raises(InputError, match="another form"):
         write_features(tmp_path, "a", blocks(), rows, form="compact")
     with pytest.raises((InputError, TypeError), match="compact"):
-        write_features(tmp_path, "b", blocks(), rows, form="png")  # type: ignore[arg-type]
+        write_features(tmp_path, "b", blocks(), rows, form="png")
     write_features(tmp_path, "a", blocks(), rows, overwrite=True, form="compact")
     assert list(files_of(tmp_path)) == [f"a{COMPACT}"]
     for name, content in theirs.items():
@@ -94,7 +95,7 @@ def embedded(views: list[ds.View], folder: Path, **options: object) -> Embedding
     return embed(views, folder, ColorSegmenter(), ThumbnailEncoder(), **options)
 
 
-def test_embed_writes_it_by_default_and_turns_what_is_finished(tmp_path: Path) -> None:
+def test_embed_writes_it_by_default_and_turns_what_is_finished(tmp_path):
     views = [a_view(tmp_path, name) for name in ("a.png", "cam0/b.png")]
     assert embedded(views, tmp_path / "theirs", form="langsplat").reused == 0
     assert embedded(views, tmp_path / "out").reused == 0
@@ -107,7 +108,7 @@ def test_embed_writes_it_by_default_and_turns_what_is_finished(tmp_path: Path) -
     assert files_of(tmp_path / "out") == ours
 
 
-def test_damaged_files_are_embedded_again(tmp_path: Path) -> None:
+def test_damaged_files_are_embedded_again(tmp_path):
     views = [a_view(tmp_path, name) for name in ("a.png", "b.png")]
     embedded(views, tmp_path / "out")
     before = files_of(tmp_path / "out")
@@ -118,7 +119,7 @@ def test_damaged_files_are_embedded_again(tmp_path: Path) -> None:
     assert files_of(tmp_path / "out") == before
 
 
-def test_an_edited_record_is_refused(tmp_path: Path) -> None:
+def test_an_edited_record_is_refused(tmp_path):
     views = [a_view(tmp_path, "a.png")]
     embedded(views, tmp_path / "out")
     record = tmp_path / "out/embedding.json"
@@ -133,7 +134,7 @@ def test_an_edited_record_is_refused(tmp_path: Path) -> None:
     assert embedded(views, tmp_path / "out").reused == 1
 
 
-def test_inspect_tells_features_of_either_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_tells_features_of_either_form(tmp_path, capsys):
     views = [a_view(tmp_path, "a.png")]
     told = []
     for form in ("compact", "langsplat"):
@@ -149,11 +150,11 @@ def test_inspect_tells_features_of_either_form(tmp_path: Path, capsys: pytest.Ca
 
 def hostile(path: Path, **changes: object) -> Path:
     """A sound file with some tensors or metadata replaced, and the right checksums."""
-    write_compact(path, blocks(), unit_rows(np.random.default_rng(1), 9, 4), overwrite=True)
+    write_compact(path, blocks(), unit_rows(default_rng(1), 9, 4), overwrite=True)
     tensors, about = map_tensors(path)
     arrays = {name: np.array(array) for name, array in tensors.items()}
     for name, value in changes.items():
-        (arrays if isinstance(value, np.ndarray) else about)[name] = value  # type: ignore[index]
+        (arrays if isinstance(value, np.ndarray) else about)[name] = value
     write_tensors(path, arrays, about, overwrite=True)
     return path
 
@@ -186,19 +187,19 @@ def squeezed(data: bytes) -> np.ndarray:
         {"embeddings": np.zeros((9, 4), np.float32)},
     ],
 )
-def test_hostile_files_are_refused(changes: dict[str, object], tmp_path: Path, bounded_memory: None) -> None:
+def test_hostile_files_are_refused(changes, tmp_path, bounded_memory):
     hostile(tmp_path / f"a{COMPACT}", **changes)
     with pytest.raises(FormatError):
         FeatureFolder(tmp_path, LEVELS.index("large"))["a"]
 
 
-def test_mutants_are_read_or_refused(tmp_path: Path, bounded_memory: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mutants_are_read_or_refused(tmp_path, bounded_memory, monkeypatch):
     """With checksums out of the way, which would refuse nearly all."""
     path = hostile(tmp_path / f"a{COMPACT}")
     without_checksums(path)
     monkeypatch.setattr(compact_features, "read_tensors", map_tensors)
     good, refused, count = path.read_bytes(), 0, quota(800)
-    for mutant in mutants(good, np.random.default_rng(0), count):
+    for mutant in mutants(good, default_rng(0), count):
         path.write_bytes(mutant)
         try:
             FeatureFolder(tmp_path, LEVELS.index("large"))["a"]

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from drsplat import _native
@@ -29,7 +30,7 @@ FLIPS = quota(400)
 
 
 def saved_field(folder: Path, mixture: bool = False) -> Path:
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     evidence = random_evidence(rng)
     field = build_field(evidence, SCENE, TOY, Mixture(2) if mixture else PQ())
     field.with_negatives(unit_rows(rng, 2, 32), ("one", "two")).save(folder / "a.field")
@@ -44,10 +45,8 @@ def flipped(data: bytes, rng: np.random.Generator) -> bytes:
 
 def answers(field: LanguageField) -> list[object]:
     """Everything that a field says, as comparable values."""
-    queries = unit_rows(np.random.default_rng(5), 2, 32)
+    queries = unit_rows(default_rng(5), 2, 32)
     evidence = field.evidence
-    assert evidence is not None
-    assert field.negatives is not None
     arrays = (
         field.gaussian_ids, field.scores(queries), field.relevancy(queries[0]), evidence.weights.data,
         evidence.weights.indptr, evidence.weights.indices, evidence.embeddings, evidence.masks.views,
@@ -60,8 +59,8 @@ def answers(field: LanguageField) -> list[object]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mixture", [False, True])
-def test_a_flipped_bit_in_a_field_never_changes_an_answer(mixture: bool, tmp_path: Path) -> None:
-    path, rng = saved_field(tmp_path, mixture), np.random.default_rng(3)
+def test_a_flipped_bit_in_a_field_never_changes_an_answer(mixture, tmp_path):
+    path, rng = saved_field(tmp_path, mixture), default_rng(3)
     expected = answers(load_field(path))
     for file in sorted(path.iterdir()):
         good, refused = file.read_bytes(), 0
@@ -84,12 +83,12 @@ def damage(path: Path, tensor: str, at: int = 0) -> None:
     path.write_bytes(data)
 
 
-def test_damage_is_found_at_first_use_and_by_verify(tmp_path: Path) -> None:
+def test_damage_is_found_at_first_use_and_by_verify(tmp_path):
     path = saved_field(tmp_path)
     load_field(path).verify()
     damage(path / "evidence.safetensors", "data")
     field = load_field(path)
-    assert len(field.top(unit_rows(np.random.default_rng(0), 1, 32)[0], 3).rows) == 3
+    assert len(field.top(unit_rows(default_rng(0), 1, 32)[0], 3).rows) == 3
     for use in (field.verify, lambda: field.evidence, lambda: field.explain(0, np.ones(32, "f4"))):
         with pytest.raises(FormatError, match=r"evidence.*'data' is not what was written.*register"):
             use()
@@ -98,7 +97,7 @@ def test_damage_is_found_at_first_use_and_by_verify(tmp_path: Path) -> None:
     assert not (tmp_path / "b.field").exists()
 
 
-def test_inspect_verifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_verifies(tmp_path, capsys):
     path = saved_field(tmp_path)
     (path / "notes.txt").write_text("not of the field")
     manifest = json.loads((path / "field.json").read_text())
@@ -117,14 +116,14 @@ def test_inspect_verifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.parametrize("given", [["--output", ""], ["--output="]])
-def test_empty_names_are_refused(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_empty_names_are_refused(given, capsys):
     """They would be the current folder, or the default."""
     assert main(["embed", "capture", *given]) == 2
     assert "--output is empty: give a value" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("name", "encoding"), [("v\xe4se", "ascii"), ("v\udcffse", "utf-8")])
-def test_any_name_is_printed_on_any_terminal(name: str, encoding: str, tmp_path: Path) -> None:
+def test_any_name_is_printed_on_any_terminal(name, encoding, tmp_path):
     toy_field().save(tmp_path / name)
     ran = subprocess.run(
         [sys.executable, "-m", "drsplat", "inspect", tmp_path / name],
@@ -138,14 +137,14 @@ def test_any_name_is_printed_on_any_terminal(name: str, encoding: str, tmp_path:
     ("text", "reason"),
     [('{"vase": [1, 0], "vase": [0, 1]}', "'vase' is given twice"), (r'{"\ud800": [1, 0]}', "half a character")],
 )
-def test_vocabularies_whose_names_are_no_names_are_refused(text: str, reason: str, tmp_path: Path) -> None:
+def test_vocabularies_whose_names_are_no_names_are_refused(text, reason, tmp_path):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(FormatError, match=reason):
         read_vocabulary(tmp_path / "a.json")
 
 
 @pytest.mark.parametrize("dtype", ["F8_E4M3", "F4", "BF16", "C64"])
-def test_vocabularies_of_other_numbers_are_refused(dtype: str, tmp_path: Path) -> None:
+def test_vocabularies_of_other_numbers_are_refused(dtype, tmp_path):
     entry = {"dtype": dtype, "shape": [1, 16], "data_offsets": [0, 16]}
     header = json.dumps({"__metadata__": {"texts": '["vase"]'}, "embeddings": entry}).encode()
     content = len(header).to_bytes(8, "little") + header + bytes(16)
@@ -154,7 +153,7 @@ def test_vocabularies_of_other_numbers_are_refused(dtype: str, tmp_path: Path) -
         read_vocabulary(tmp_path / "a.safetensors")
 
 
-def test_fields_of_version_2_have_no_checksums_and_load(tmp_path: Path) -> None:
+def test_fields_of_version_2_have_no_checksums_and_load(tmp_path):
     path = saved_field(tmp_path)
     expected = answers(load_field(path))
     as_version_2(path)
@@ -163,7 +162,7 @@ def test_fields_of_version_2_have_no_checksums_and_load(tmp_path: Path) -> None:
     assert answers(field) == expected
 
 
-def test_a_field_of_this_version_without_checksums_is_refused(tmp_path: Path) -> None:
+def test_a_field_of_this_version_without_checksums_is_refused(tmp_path):
     path = saved_field(tmp_path)
     manifest = json.loads((path / "field.json").read_text())
     as_version_2(path)
@@ -177,7 +176,7 @@ def test_a_field_of_this_version_without_checksums_is_refused(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_weights_that_are_no_weights_are_refused(value: float, tmp_path: Path) -> None:
+def test_weights_that_are_no_weights_are_refused(value, tmp_path):
     path = saved_field(tmp_path) / "evidence.safetensors"
     tensors, metadata = map_tensors(path)
     arrays = {name: np.array(array) for name, array in tensors.items()}
@@ -187,7 +186,7 @@ def test_weights_that_are_no_weights_are_refused(value: float, tmp_path: Path) -
         load_field(path.parent).verify()
 
 
-def test_negatives_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+def test_negatives_that_are_no_numbers_are_refused(tmp_path):
     path = saved_field(tmp_path) / "negatives.safetensors"
     tensors, metadata = map_tensors(path)
     arrays = {name: np.array(array) for name, array in tensors.items()}
@@ -197,8 +196,8 @@ def test_negatives_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
         load_field(path.parent)
 
 
-def test_a_flipped_bit_in_a_tensor_file_is_noticed(tmp_path: Path) -> None:
-    rng = np.random.default_rng(4)
+def test_a_flipped_bit_in_a_tensor_file_is_noticed(tmp_path):
+    rng = default_rng(4)
     arrays = {"a": rng.random((40, 3)), "b": np.zeros((0, 3), "u1"), "c": np.arange(7, dtype="u2")}
     write_tensors(tmp_path / "a", arrays, {"key": "value \ud800"})
     good = (tmp_path / "a").read_bytes()
@@ -212,9 +211,9 @@ def test_a_flipped_bit_in_a_tensor_file_is_noticed(tmp_path: Path) -> None:
         assert all(np.array_equal(tensors[name], array) for name, array in arrays.items())
 
 
-def test_a_codebook_of_ours_is_checked_whole(tmp_path: Path) -> None:
+def test_a_codebook_of_ours_is_checked_whole(tmp_path):
     save_codebook(toy_field().codebook, tmp_path / "a")
-    good, rng = (tmp_path / "a").read_bytes(), np.random.default_rng(6)
+    good, rng = (tmp_path / "a").read_bytes(), default_rng(6)
     expected = load_codebook(tmp_path / "a")
     for _ in range(FLIPS):
         (tmp_path / "a").write_bytes(flipped(good, rng))
@@ -226,9 +225,9 @@ def test_a_codebook_of_ours_is_checked_whole(tmp_path: Path) -> None:
         assert_array_equal(book.centroids, expected.centroids)
 
 
-def test_sums_of_any_bytes_are_those_of_zlib() -> None:
+def test_sums_of_any_bytes_are_those_of_zlib():
     """Few bytes go by tables, many by products of polynomials; they may begin anywhere, and go on from others."""
-    content = np.random.default_rng(0).integers(0, 256, 70_000, np.uint8).tobytes()
+    content = default_rng(0).integers(0, 256, 70_000, np.uint8).tobytes()
     for size in (*range(200), 1023, 4096, len(content) - 1):
         for value in (0, 1, 0xFFFFFFFF, 0x12345678):
             part = memoryview(content)[size % 2 :][:size]
@@ -239,7 +238,7 @@ def test_sums_of_any_bytes_are_those_of_zlib() -> None:
         _native.crc32(np.zeros((4, 4), np.uint8)[:, ::2], 0)
 
 
-def test_checksums_are_those_of_zlib(tmp_path: Path) -> None:
+def test_checksums_are_those_of_zlib(tmp_path):
     """As docs/formats.md describes them, so that others can check our files."""
     array = np.arange(12, dtype="f4").reshape(3, 4)
     write_tensors(tmp_path / "a", {"a": array}, {"key": "value"})
@@ -258,7 +257,7 @@ def test_checksums_are_those_of_zlib(tmp_path: Path) -> None:
 # --- files that stay ---
 
 
-def test_files_are_on_the_disk_before_they_get_their_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_are_on_the_disk_before_they_get_their_name(tmp_path, monkeypatch):
     seen: list[str] = []
     names = {"fsync": "fsync", "replace": "name", "rename": "name"}
     for name, kind in names.items():
@@ -289,7 +288,7 @@ with replacing(Path(sys.argv[1]) / "a") as file:
 """
 
 
-def test_what_a_killed_process_left_is_swept_and_what_is_in_use_is_not(tmp_path: Path) -> None:
+def test_what_a_killed_process_left_is_swept_and_what_is_in_use_is_not(tmp_path):
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
     left = next(iter(tmp_path.iterdir()))
     (tmp_path / ".a.field.0123456789abcdef.tmp").mkdir()
@@ -331,7 +330,7 @@ for name, write in writers.items():
 """
 
 
-def test_a_full_disk_is_told_in_our_words_by_every_writer(tmp_path: Path) -> None:
+def test_a_full_disk_is_told_in_our_words_by_every_writer(tmp_path):
     saved_field(tmp_path)
     ran = subprocess.run([sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=True)
     told = ran.stdout.splitlines()
@@ -341,7 +340,7 @@ def test_a_full_disk_is_told_in_our_words_by_every_writer(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["a.field"]
 
 
-def test_files_that_belong_together_appear_together(tmp_path: Path) -> None:
+def test_files_that_belong_together_appear_together(tmp_path):
     first, second = tmp_path / "a", tmp_path / "b"
     with together():
         with replacing(first) as file:
@@ -354,7 +353,7 @@ def test_files_that_belong_together_appear_together(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == [first, second]
 
 
-def test_of_files_that_belong_together_all_or_none(tmp_path: Path) -> None:
+def test_of_files_that_belong_together_all_or_none(tmp_path):
     with pytest.raises(ValueError, match="stop"), together():  # noqa: PT012
         with replacing(tmp_path / "a") as file:
             file.write(b"1")

@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 import zstandard
+from numpy.random import default_rng
 
 import glb_files
 import scene_files
@@ -36,7 +37,7 @@ def bounded_memory() -> Iterator[None]:
 
 def seeds(family: str) -> list[tuple[bytes, str]]:
     """Good files of a family, with the suffix they are read under."""
-    scenes = [random_gaussians(np.random.default_rng(d), 20 + 4 * d, d) for d in range(4)]
+    scenes = [random_gaussians(default_rng(d), 20 + 4 * d, d) for d in range(4)]
     match family:
         case "ply":
             columns = [scene_files.ply_columns(g) for g in scenes]
@@ -49,7 +50,7 @@ def seeds(family: str) -> list[tuple[bytes, str]]:
             files += [scene_files.ply_bytes({name: own for name, own in columns[2].items() if name != "scale_2"})]
         case "compressed":
             files = [scene_files.compressed_ply_bytes(g) for g in scenes]
-            files += [scene_files.compressed_ply_bytes(random_gaussians(np.random.default_rng(9), 257, 1))]
+            files += [scene_files.compressed_ply_bytes(random_gaussians(default_rng(9), 257, 1))]
         case "splat":
             return [(scene_files.splat_bytes(g), ".splat") for g in scenes]
         case "ksplat":
@@ -120,9 +121,9 @@ def test_mutants(family: str) -> None:
     assert min(read, refused) > 250
 
 
-def test_planes_of_spz_4_under_sound_streams(bounded_memory: None) -> None:
+def test_planes_of_spz_4_under_sound_streams(bounded_memory):
     """Damage below the compression: any bytes are some scene, or rows that are refused."""
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     g = random_gaussians(rng, 16, 1)
     for _ in range(150):
         planes = [rng.bytes(len(p)) for p in scene_files.spz_planes(g, 4)]
@@ -157,13 +158,13 @@ def lying_zstd(count: int) -> bytes:
 
 
 def claiming_ply(count: int) -> bytes:
-    data = scene_files.ply_bytes(scene_files.ply_columns(random_gaussians(np.random.default_rng(0), 4)))
+    data = scene_files.ply_bytes(scene_files.ply_columns(random_gaussians(default_rng(0), 4)))
     return data.replace(b"element vertex 4", b"element vertex %d" % count)
 
 
 def list_ply(length: int) -> bytes:
     header = "element face 1000000000000\nproperty list uint double vertex_indices"
-    columns = scene_files.ply_columns(random_gaussians(np.random.default_rng(0), 4))
+    columns = scene_files.ply_columns(random_gaussians(default_rng(0), 4))
     return scene_files.ply_bytes(columns, "<", struct.pack("<I", length), header)
 
 
@@ -185,7 +186,7 @@ def list_ply(length: int) -> bytes:
         pytest.param(b"ply\nformat ascii 1.0\n" + b"comment a\n" * 400_000, id="ply-endless-header"),
     ],
 )
-def test_bombs_are_refused_before_they_unfold(data: bytes) -> None:
+def test_bombs_are_refused_before_they_unfold(data):
     gc.collect()
     tracemalloc.start()
     try:
@@ -196,25 +197,25 @@ def test_bombs_are_refused_before_they_unfold(data: bytes) -> None:
         tracemalloc.stop()
 
 
-def test_error_names_the_file_and_leaves_it_closed(tmp_path: Path) -> None:
+def test_error_names_the_file_and_leaves_it_closed(tmp_path):
     path = tmp_path / "scene.ply"
     path.write_bytes(claiming_ply(5))
     with pytest.raises(FormatError, match=r"scene\.ply: PLY is truncated.*5 rows of 'vertex'"):
         read_gaussians(path)
 
 
-def test_mutants_are_reproducible_and_differ() -> None:
+def test_mutants_are_reproducible_and_differ():
     data = seeds("ply")[0][0]
-    first, second = (list(mutants(data, np.random.default_rng(5), 300)) for _ in range(2))
+    first, second = (list(mutants(data, default_rng(5), 300)) for _ in range(2))
     assert first == second
     assert len(set(first)) > 250
     assert sum(mutant != data for mutant in first) > 280
 
 
 @pytest.mark.slow
-def test_errors_within_a_table_leave_nothing_that_cannot_be_collected() -> None:
+def test_errors_within_a_table_leave_nothing_that_cannot_be_collected():
     """An SPZ 4 refused at its second stream, many times, with the errors kept in cycles."""
-    scene = random_gaussians(np.random.default_rng(0), 20, 1)
+    scene = random_gaussians(default_rng(0), 20, 1)
     damaged = bytearray(scene_files.spz_bytes(scene, 4))
     table = struct.unpack_from("<I", damaged, 16)[0]
     struct.pack_into("<Q", damaged, table + 24, 1)  # the size that the second stream promises
@@ -229,8 +230,8 @@ def test_errors_within_a_table_leave_nothing_that_cannot_be_collected() -> None:
 
 
 @pytest.mark.slow
-def test_damaged_tables_of_names(tmp_path: Path, bounded_memory: None) -> None:
-    data, rng, path = labelled_glb(random_gaussians(np.random.default_rng(0), 20, 0)), seeded(7), tmp_path / "a.glb"
+def test_damaged_tables_of_names(tmp_path, bounded_memory):
+    data, rng, path = labelled_glb(random_gaussians(default_rng(0), 20, 0)), seeded(7), tmp_path / "a.glb"
     read = refused = 0
     for mutant in mutants(data, rng, quota(1500)):
         path.write_bytes(mutant)

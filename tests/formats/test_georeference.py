@@ -1,8 +1,6 @@
 """Where on the Earth things are: closed forms of WGS 84, and files that are none."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,14 +19,14 @@ HERE = {
 POLAR = EQUATOR_RADIUS_M * (1 - FLATTENING)
 
 
-def test_the_ellipsoid() -> None:
+def test_the_ellipsoid():
     at = geocentric(np.array([[0.0, 0, 0], [90, 0, 100], [0, 90, 0], [0, -90, 10]]))
     assert_allclose(
         at, [[EQUATOR_RADIUS_M, 0, 0], [0, EQUATOR_RADIUS_M + 100, 0], [0, 0, POLAR], [0, 0, -POLAR - 10]], atol=1e-6
     )
 
 
-def test_steps_from_an_origin() -> None:
+def test_steps_from_an_origin():
     """A degree of longitude on the equator is a 360th of its length; up is up; north goes along a meridian."""
     degree = np.pi * EQUATOR_RADIUS_M / 180
     (east,), (up,) = (geodetic((10.0, 0.0, 5.0), np.array([step])) for step in ([1.0, 0, 0], [0, 0, 7.0]))
@@ -45,17 +43,16 @@ def test_steps_from_an_origin() -> None:
     st.floats(-500, 9000),
     st.lists(st.floats(-3e4, 3e4), min_size=3, max_size=3),
 )
-def test_there_and_back(longitude: float, latitude: float, height: float, step: list[float]) -> None:
+def test_there_and_back(longitude, latitude, height, step):
     place = geodetic((longitude, latitude, height), np.array([step]))
     distance = np.linalg.norm(geocentric(place) - geocentric(np.array([[longitude, latitude, height]])))
     assert_allclose(distance, np.linalg.norm(step), atol=1e-5)
 
 
-def test_a_file_beside_the_scene(tmp_path: Path) -> None:
+def test_a_file_beside_the_scene(tmp_path):
     assert read_georeference(tmp_path, None) is None
     (tmp_path / NAME).write_text(json.dumps(HERE))
     found = read_georeference(None, tmp_path)
-    assert found is not None
     place = found.positions(np.array([[0.0, 0, 0], [0, -1, 0], [0, 0, 50]]))
     assert_allclose(place[0], [13.4, 52.5, 80], atol=1e-8)
     assert_allclose(place[1], [13.4, 52.5, 82], atol=1e-6)  # the world's y looks down
@@ -77,7 +74,7 @@ def test_a_file_beside_the_scene(tmp_path: Path) -> None:
         ({"enu_from_world": [1, 2, 3]}, "enu_from_world"),
     ],
 )
-def test_files_that_are_none(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+def test_files_that_are_none(tmp_path, change, said):
     (tmp_path / NAME).write_text(json.dumps(HERE | change))
     with pytest.raises(FormatError, match=said):
         read_georeference(tmp_path)

@@ -23,6 +23,7 @@ from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.similarity import similarity_of
 from glb_files import SPLATTING, Read
+from refusing import malformed, refused
 
 NAMES = ("red mug", "<b>&amp;</b>", "кружка 😀", "a/../b\\c", "", 'quote " and\nline')
 STORED = ("means", "quats", "scales", "opacities", "sh")
@@ -49,7 +50,7 @@ def written(folder: Path, scene: LabelledScene) -> bytes:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_what_is_written_is_what_the_extension_says(degree: int, tmp_path: Path) -> None:
+def test_what_is_written_is_what_the_extension_says(degree, tmp_path):
     g = made(degree=degree)
     read = Read.of(written(tmp_path, LabelledScene(g)))
     assert_array_equal(read.attribute("POSITION"), g.means)
@@ -70,7 +71,7 @@ def test_what_is_written_is_what_the_extension_says(degree: int, tmp_path: Path)
     assert_array_equal(np.float32(accessor["max"]), g.means.max(axis=0))
 
 
-def test_points_have_the_colours_of_the_splats_in_linear_light(tmp_path: Path) -> None:
+def test_points_have_the_colours_of_the_splats_in_linear_light(tmp_path):
     """A third of sRGB's range is 0.0908 of its light, by the curve of IEC 61966-2-1."""
     g = made(3, 0)
     shown = np.array([[1 / 3, 0, 1], [2, -1, 0.02], [0.5, 0.5, 0.5]], np.float32)
@@ -81,7 +82,7 @@ def test_points_have_the_colours_of_the_splats_in_linear_light(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("degree", [0, 2, 3])
-def test_it_comes_back_to_the_bit(degree: int, tmp_path: Path) -> None:
+def test_it_comes_back_to_the_bit(degree, tmp_path):
     scene = replace(with_objects(made(degree=degree)), up=(0.3, -0.9, 0.4), query="mug")
     scene = replace(scene, relevancy=np.linspace(-1, 1, 40, dtype=np.float32))
     written(tmp_path, scene)
@@ -94,7 +95,7 @@ def test_it_comes_back_to_the_bit(degree: int, tmp_path: Path) -> None:
     assert_array_equal(back.extra["object_id"], np.where(scene.object_of < 0, -1, 2 * scene.object_of))
 
 
-def test_names_and_numbers_of_objects_come_back(tmp_path: Path) -> None:
+def test_names_and_numbers_of_objects_come_back(tmp_path):
     scene = with_objects(made())
     read = Read.of(written(tmp_path, scene))
     assert scene.object_of is not None
@@ -114,7 +115,7 @@ def test_names_and_numbers_of_objects_come_back(tmp_path: Path) -> None:
     assert table["parent"] == [0] * len(NAMES)
 
 
-def test_embeddings_go_along_where_objects_have_some(tmp_path: Path) -> None:
+def test_embeddings_go_along_where_objects_have_some(tmp_path):
     scene = with_objects(made(), ("a", "b"))
     vector = np.array([0.6, 0.8, 0], np.float32)
     scene = replace(scene, things=(replace(scene.things[0], embedding=vector), scene.things[1]), encoder="clip")
@@ -122,7 +123,7 @@ def test_embeddings_go_along_where_objects_have_some(tmp_path: Path) -> None:
     assert_array_equal(embeddings, [vector, np.zeros(3)])
 
 
-def test_the_answer_to_a_query_is_a_property_of_every_splat(tmp_path: Path) -> None:
+def test_the_answer_to_a_query_is_a_property_of_every_splat(tmp_path):
     relevancy = np.linspace(0, 1, 40, dtype=np.float32)
     matches = (thing("match 0"), thing("match 1"))
     scene = LabelledScene(made(), query="red mug", relevancy=relevancy, matches=matches)
@@ -135,7 +136,7 @@ def test_the_answer_to_a_query_is_a_property_of_every_splat(tmp_path: Path) -> N
     assert "red mug" in metadata["schema"]["classes"][attribute["class"]]["properties"]["relevancy"]["description"]
 
 
-def test_matches_and_annotations_are_named_nodes_at_their_boxes(tmp_path: Path) -> None:
+def test_matches_and_annotations_are_named_nodes_at_their_boxes(tmp_path):
     match, axes = thing("red mug"), np.diag([1.0, 1, -1])  # left-handed: the same box as a right-handed one
     notes = (
         Annotation.at("here", [1.0, 2, 3]),
@@ -175,7 +176,7 @@ def matrix_of(node: dict, scaled: bool = True) -> np.ndarray:
 @pytest.mark.parametrize(
     "up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.3, -0.9, 0.1), (-0.1, 0.98, 0.05)]
 )
-def test_what_is_up_is_up_in_gltf(up: tuple[float, float, float], tmp_path: Path) -> None:
+def test_what_is_up_is_up_in_gltf(up, tmp_path):
     scene = LabelledScene(made(), up=up)
     root = Read.of(written(tmp_path, scene)).document["nodes"][0]
     rotation = matrix_of(root)[:3, :3]
@@ -184,11 +185,11 @@ def test_what_is_up_is_up_in_gltf(up: tuple[float, float, float], tmp_path: Path
     assert_allclose(rotation @ np.array(up) / np.linalg.norm(up), [0, 1, 0], atol=1e-7)
 
 
-def test_a_scene_of_photos_is_turned_by_half_about_x() -> None:
+def test_a_scene_of_photos_is_turned_by_half_about_x():
     assert_array_equal(standing_up(np.array([0.0, -1.0, 0.0])), np.diag([1.0, -1, -1]))
 
 
-def test_positions_far_from_zero_stay_exact(tmp_path: Path) -> None:
+def test_positions_far_from_zero_stay_exact(tmp_path):
     origin = np.array([500_000.25, 4_000_000.5, 100.125])
     g = replace(made(), origin=origin)
     node = Read.of(written(tmp_path, LabelledScene(g))).document["nodes"][1]
@@ -198,7 +199,7 @@ def test_positions_far_from_zero_stay_exact(tmp_path: Path) -> None:
     assert_array_equal(back.means, g.means)
 
 
-def test_the_mark_of_an_antialiased_scene_comes_back(tmp_path: Path) -> None:
+def test_the_mark_of_an_antialiased_scene_comes_back(tmp_path):
     g = replace(made(), antialiased=True)
     written(tmp_path, LabelledScene(g))
     back = read_gaussians(tmp_path / "scene.glb")
@@ -210,7 +211,7 @@ def test_the_mark_of_an_antialiased_scene_comes_back(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "component"), [(3, 5123), (65_535, 5123), (65_536, 5126), (100_000, 5126)])
-def test_any_number_of_objects_is_told_apart(count: int, component: int, tmp_path: Path) -> None:
+def test_any_number_of_objects_is_told_apart(count, component, tmp_path):
     g = made(1000, 0)
     owners = np.linspace(-1, count - 1, 1000).astype(np.int32)
     one = thing("x")
@@ -222,34 +223,32 @@ def test_any_number_of_objects_is_told_apart(count: int, component: int, tmp_pat
     assert_array_equal(read_gaussians(tmp_path / "scene.glb").extra["object_id"], owners)
 
 
-def test_an_empty_scene_is_refused(tmp_path: Path) -> None:
+def test_an_empty_scene_is_refused(tmp_path):
     nothing = made().subset(np.empty(0, np.int64))
-    with pytest.raises(InputError, match="no Gaussians to write"):
+    with refused("no Gaussians to write"):
         write_scene(tmp_path / "scene.glb", LabelledScene(nothing))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", STORED)
-def test_numbers_that_are_none_are_refused(name: str, tmp_path: Path) -> None:
+def test_numbers_that_are_none_are_refused(name, tmp_path):
     column = getattr(made(), name).copy()
     column.reshape(40, -1)[7, 0] = np.nan
-    with pytest.raises(InputError, match=r"1 of 40 rows have .*; the first is row 7\."):
+    with refused(r"1 of 40 rows have .*; the first is row 7\."):
         write_scene(tmp_path / "scene.glb", LabelledScene(replace(made(), **{name: column})))
     relevancy = np.where(np.arange(40) == 3, np.float32(np.inf), np.float32(0))
-    with pytest.raises(InputError, match=r"relevancies: .*inf in row 3"):
+    with refused(r"relevancies: .*inf in row 3"):
         write_scene(tmp_path / "scene.glb", LabelledScene(made(), relevancy=relevancy))
 
 
-def test_what_is_too_large_for_the_format_is_refused_before_it_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_too_large_for_the_format_is_refused_before_it_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(glb_writing, "MAX_FILE_BYTES", 10_000)
-    with pytest.raises(InputError, match=r"scene\.glb would have .* GB, and a GLB holds up to"):
+    with refused(r"scene\.glb would have .* GB, and a GLB holds up to"):
         write_scene(tmp_path / "scene.glb", LabelledScene(made(100)))
     assert not list(tmp_path.iterdir())
 
 
-def test_rows_are_made_on_their_way_to_the_disk(tmp_path: Path) -> None:
+def test_rows_are_made_on_their_way_to_the_disk(tmp_path):
     """The file has 11 MB; nothing of that size is held."""
     g = made(50_000, 3)
     size = len(g) * (3 + 4 + 3 + 1 + 48 + 1) * 4
@@ -262,13 +261,13 @@ def test_rows_are_made_on_their_way_to_the_disk(tmp_path: Path) -> None:
     assert (tmp_path / "scene.glb").stat().st_size > size
 
 
-def test_a_file_that_exists_stays(tmp_path: Path) -> None:
+def test_a_file_that_exists_stays(tmp_path):
     written(tmp_path, LabelledScene(made()))
-    with pytest.raises(InputError, match="exists already"):
+    with refused("exists already"):
         write_scene(tmp_path / "scene.glb", LabelledScene(made()))
 
 
-def test_what_a_format_cannot_hold_is_said() -> None:
+def test_what_a_format_cannot_hold_is_said():
     scene = replace(with_objects(made()), relevancy=np.zeros(40, np.float32), matches=(thing("m"),))
     assert lacks(".glb", scene) == ()
     assert lacks(".ply", scene) == (".ply keeps no boxes of matches",)  # names lie in a file beside it
@@ -296,19 +295,19 @@ def assert_near(ours: Gaussians, expected: Gaussians, atol: float = 1e-6) -> Non
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_a_file_of_others_is_turned_into_the_axes_of_a_ply(degree: int) -> None:
+def test_a_file_of_others_is_turned_into_the_axes_of_a_ply(degree):
     """y up becomes y down; harmonics turn along."""
     g = made(degree=degree)
     assert_near(outcome(glb_files.glb_bytes(half_turned(g))), g)
 
 
-def test_integers_are_shares_of_one() -> None:
+def test_integers_are_shares_of_one():
     g = made()
     g = replace(g, scales=np.minimum(g.scales, 1))
     assert_near(outcome(glb_files.small_glb_bytes(half_turned(g))), g, atol=3e-3)
 
 
-def test_the_transform_of_a_node_is_applied() -> None:
+def test_the_transform_of_a_node_is_applied():
     g = made()
     node = {"translation": [1.0, 2, 3], "rotation": [0.5, 0.5, 0.5, 0.5], "scale": [2.0, 2, 2]}
     expected = similarity_of(np.diag([1.0, -1, -1, 1]) @ matrix_of(node)).moved(g)
@@ -317,7 +316,7 @@ def test_the_transform_of_a_node_is_applied() -> None:
     assert_near(outcome(glb_files.glb_bytes(g, as_matrix)), expected)
 
 
-def test_primitives_stand_one_behind_the_other() -> None:
+def test_primitives_stand_one_behind_the_other():
     first, second = made(20, 1, 1), made(30, 3, 2)
     building = glb_files.Building()
     attributes = [glb_files.splat_attributes(building, half_turned(g)) for g in (first, second)]
@@ -329,14 +328,14 @@ def test_primitives_stand_one_behind_the_other() -> None:
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
-def test_an_spz_within_is_read(version: int) -> None:
+def test_an_spz_within_is_read(version):
     """What is in it has the axes of glTF, which are those that SPZ has by itself."""
     g = made(degree=2)
     spz = scene_files.spz_bytes(g, version)
     assert_near(outcome(glb_files.spz_glb_bytes(g, spz)), outcome(spz, ".spz"))
 
 
-def test_gltf_with_its_buffer_beside_it_or_in_it(tmp_path: Path) -> None:
+def test_gltf_with_its_buffer_beside_it_or_in_it(tmp_path):
     g = made(degree=1)
     document, binary = glb_files.parts_of(glb_files.glb_bytes(half_turned(g)))
     document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
@@ -347,7 +346,7 @@ def test_gltf_with_its_buffer_beside_it_or_in_it(tmp_path: Path) -> None:
     assert_near(read_gaussians(tmp_path / "scene.gltf"), g)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "scene.gltf").write_text(json.dumps(document))
-    with pytest.raises(InputError, match="no such file"):
+    with refused("no such file"):
         read_gaussians(tmp_path / "other" / "scene.gltf")
 
 
@@ -355,7 +354,7 @@ def test_gltf_with_its_buffer_beside_it_or_in_it(tmp_path: Path) -> None:
     "uri",
     ["../scene.bin", "/etc/passwd", "http://example.org/a.bin", "file:///etc/passwd", "a%2F..%2Fb", "..", "c:\\a", ""],
 )
-def test_nothing_elsewhere_is_read(uri: str, tmp_path: Path) -> None:
+def test_nothing_elsewhere_is_read(uri, tmp_path):
     document, binary = glb_files.parts_of(glb_files.glb_bytes(made()))
     (tmp_path / "scene.bin").write_bytes(binary)
     document["buffers"][0]["uri"] = uri
@@ -368,7 +367,7 @@ def test_nothing_elsewhere_is_read(uri: str, tmp_path: Path) -> None:
 def changed(change: object, g: Gaussians | None = None) -> bytes:
     """A good file with its document changed."""
     document, binary = glb_files.parts_of(glb_files.glb_bytes(made() if g is None else g))
-    change(document)  # type: ignore[operator]
+    change(document)
     return glb_files.glb_of(document, binary)
 
 
@@ -410,40 +409,40 @@ PRIMITIVE = "meshes/0/primitives/0"
         ("asset/version", "1.0", "version '1.0'"),
     ],
 )
-def test_what_cannot_be_read_is_said(path: str, value: object, message: str | None) -> None:
+def test_what_cannot_be_read_is_said(path, value, message):
     content = changed(lambda document: put(document, path, value))
     if message is None:
         assert len(outcome(content)) == 40
         return
-    with pytest.raises(FormatError, match=message):
+    with malformed(message):
         outcome(content)
 
 
-def test_a_degree_of_harmonics_is_whole_or_not_there() -> None:
+def test_a_degree_of_harmonics_is_whole_or_not_there():
     def without(document: dict) -> None:
         del document["meshes"][0]["primitives"][0]["attributes"][f"{SPLATTING}:SH_DEGREE_2_COEF_1"]
 
-    with pytest.raises(FormatError, match="15 coefficients of harmonics"):
+    with malformed("15 coefficients of harmonics"):
         outcome(changed(without))
 
 
-def test_logarithms_of_scales_are_refused_with_their_cure() -> None:
+def test_logarithms_of_scales_are_refused_with_their_cure():
     g = made()
     logs = replace(g, scales=np.log(g.scales))
-    with pytest.raises(FormatError, match=r"40 of 40 rows have negative scales.*splat-transform"):
+    with malformed(r"40 of 40 rows have negative scales.*splat-transform"):
         outcome(glb_files.glb_bytes(logs))
 
 
-def test_rows_that_are_no_gaussians_are_named() -> None:
+def test_rows_that_are_no_gaussians_are_named():
     g = made()
     opacities = g.opacities.copy()
     opacities[5] = np.nan
-    with pytest.raises(FormatError, match=r"1 of 40 rows have opacities .* the first is row 5"):
+    with malformed(r"1 of 40 rows have opacities .* the first is row 5"):
         outcome(glb_files.glb_bytes(replace(g, opacities=opacities)))
 
 
 @pytest.mark.slow
-def test_bytes_that_are_named_many_times_over_do_not_unfold() -> None:
+def test_bytes_that_are_named_many_times_over_do_not_unfold():
     """Three thousand primitives of the same hundred thousand rows, in a file of some hundred kilobytes."""
 
     def many(document: dict) -> None:
@@ -452,14 +451,14 @@ def test_bytes_that_are_named_many_times_over_do_not_unfold() -> None:
 
     tracemalloc.start()
     try:
-        with pytest.raises(FormatError, match="do not fit into"):
+        with malformed("do not fit into"):
             outcome(changed(many, made(500)))
         assert tracemalloc.get_traced_memory()[1] < 32 << 20
     finally:
         tracemalloc.stop()
 
 
-def test_a_turned_root_is_turned(tmp_path: Path) -> None:
+def test_a_turned_root_is_turned(tmp_path):
     """Another program may turn what was written: then the file's own transforms hold."""
     g = made()
     document, binary = glb_files.parts_of(written(tmp_path, LabelledScene(g)))
@@ -467,23 +466,23 @@ def test_a_turned_root_is_turned(tmp_path: Path) -> None:
     assert_near(outcome(glb_files.glb_of(document, binary)), half_turned(g))
 
 
-def test_names_that_do_not_fit_their_bytes_are_refused(tmp_path: Path) -> None:
+def test_names_that_do_not_fit_their_bytes_are_refused(tmp_path):
     document, binary = glb_files.parts_of(written(tmp_path, with_objects(made())))
     column = document["extensions"]["EXT_structural_metadata"]["propertyTables"][0]["properties"]["name"]
     column["values"], column["stringOffsets"] = column["stringOffsets"], column["values"]
     (tmp_path / "bad.glb").write_bytes(glb_files.glb_of(document, binary))
-    with pytest.raises(FormatError, match=r"names of the objects|does not fit"):
+    with malformed(r"names of the objects|does not fit"):
         names_in_glb(tmp_path / "bad.glb")
 
 
-def test_a_mesh_is_no_scene_and_damage_is_no_mesh(tmp_path: Path) -> None:
+def test_a_mesh_is_no_scene_and_damage_is_no_mesh(tmp_path):
     document, binary = glb_files.parts_of(glb_files.glb_bytes(made()))
     path = tmp_path / "scene.glb"
     path.write_bytes(glb_files.glb_of(document, binary)[:-8])
-    with pytest.raises(FormatError, match="truncated"):
+    with malformed("truncated"):
         read_gaussians(path)
     document["extensionsUsed"] = []
     document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 0}}]
     path.write_bytes(glb_files.glb_of(document, binary))
-    with pytest.raises(InputError, match="got a mesh, expected a scene of Gaussians"):
+    with refused("got a mesh, expected a scene of Gaussians"):
         read_gaussians(path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import drsplat as ds
-from command_line import Capture, answer_of, error_of
+from command_line import answer_of, error_of
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
 from drsplat.formats.langsplat import write_features
 from drsplat.scene.encoders import EncoderIdentity
@@ -29,7 +29,7 @@ def room(tmp_path: Path) -> Path:
     return write_toy_capture(tmp_path)
 
 
-def test_masks_and_ids_stay_and_embeddings_are_of_their_crops(room: Path) -> None:
+def test_masks_and_ids_stay_and_embeddings_are_of_their_crops(room):
     views, old = ds.read_views(room / "capture"), ds.read_features(room / "capture/language_features")
     report = ds.embed(views, room / "new", old, Colours())
     assert (report.photos, report.reused) == (4, 0)
@@ -50,7 +50,7 @@ def test_masks_and_ids_stay_and_embeddings_are_of_their_crops(room: Path) -> Non
     assert ds.embed(views, room / "new", old, Colours()).reused == 3
 
 
-def test_the_same_encoder_gives_the_same_files(room: Path, capsys: Capture) -> None:
+def test_the_same_encoder_gives_the_same_files(room, capsys):
     """Masks of `graph` do not overlap, so that maps hold them whole."""
     argv = ["embed", room / "capture", "--encoder", "drsplat-mini", "--output"]
     answer_of(capsys, *argv, room / "one", "--segmenter", "graph")
@@ -65,7 +65,7 @@ def test_the_same_encoder_gives_the_same_files(room: Path, capsys: Capture) -> N
     assert "with --output" in error_of(capsys, *argv[:-1], "--masks", room / "one")
 
 
-def test_an_encoder_is_swapped_without_cutting_or_registering_a_photo(room: Path, capsys: Capture) -> None:
+def test_an_encoder_is_swapped_without_cutting_or_registering_a_photo(room, capsys):
     features, scene, capture = room / "capture/language_features", room / "scene.ply", room / "capture"
     register = ["register", scene, capture, "--features"]
     answer_of(capsys, *register, features, "--output", room / "a.field")
@@ -77,7 +77,7 @@ def test_an_encoder_is_swapped_without_cutting_or_registering_a_photo(room: Path
     assert ds.load_field(room / "b.field").encoder.name == "colours"
 
 
-def test_masks_of_other_photos_are_refused(room: Path) -> None:
+def test_masks_of_other_photos_are_refused(room):
     views = ds.read_views(room / "capture")
     other = room / "other"
     write_features(other, "photo_0", np.zeros((50, 50), np.int32), np.ones((1, 3), np.float32))

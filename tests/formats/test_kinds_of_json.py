@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -37,7 +36,7 @@ ROOM = {
 }
 
 
-def test_an_object_becomes_what_describes_it() -> None:
+def test_an_object_becomes_what_describes_it():
     room = as_kind(ROOM, Room, "here")
     assert (room.kind, room.areas, room.seen, room.is_open) == ("hall", {"floor": 2.0}, 3, True)
     assert room.places[0].name == ""
@@ -62,7 +61,7 @@ def test_an_object_becomes_what_describes_it() -> None:
         ({"is_open": 1}, "here: is_open: expected true or false, got 1"),
     ],
 )
-def test_what_is_of_another_kind_is_named(change: object, said: str) -> None:
+def test_what_is_of_another_kind_is_named(change, said):
     with pytest.raises(FormatError) as error:
         as_kind(ROOM | change if isinstance(change, dict) else change, Room, "here")
     assert str(error.value) == said
@@ -76,7 +75,7 @@ def test_what_is_of_another_kind_is_named(change: object, said: str) -> None:
         ({"format": "ours", "version": 1}, "expected 'ours' of version 2, got 1. Make it anew"),
     ],
 )
-def test_a_document_of_another_format_is_refused(tmp_path: Path, document: object, said: str) -> None:
+def test_a_document_of_another_format_is_refused(tmp_path, document, said):
     with pytest.raises(DrSplatError) as error:
         as_document(document, "here", "ours", 2, "Make it anew")
     assert str(error.value) == f"here: {said}"

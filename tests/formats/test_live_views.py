@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -46,7 +47,6 @@ def room(half_room: Path, tmp_path: Path) -> Path:
 
 def sent(view: View, **changes: Any) -> SentView:
     body = posted(view)
-    assert view.image_path is not None
     return replace(SentView(view.name, view.image_path.read_bytes(), body["pose"], body["lens"]), **changes)
 
 
@@ -70,9 +70,7 @@ def as_png(image: Image.Image) -> bytes:
     return buffer.getvalue()
 
 
-def test_views_that_come_one_by_one_or_together_are_one_registration(
-    room: Path, half_room: Path, full_room: Path
-) -> None:
+def test_views_that_come_one_by_one_or_together_are_one_registration(room, half_room, full_room):
     one, other = read_views(full_room)[2:]
     assert [view.state for view in take(room, sent(one))] == ["waiting"]
     assert [view.name for view in add(room).added] == [one.name]
@@ -82,13 +80,12 @@ def test_views_that_come_one_by_one_or_together_are_one_registration(
     again = Path(shutil.copytree(half_room, room.parent / "again"))
     take(again, sent(other), sent(one))
     outcome = add(again)
-    assert outcome.change is not None
     assert outcome.change.added == (one.name, other.name)
     assert files_of(again / "room.field") == files_of(full_room / "room.field")
     assert load_field(room / "room.field").equals(registered(room, read_views(room), objects=True))
 
 
-def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room: Path, full_room: Path) -> None:
+def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room, full_room):
     views = read_views(full_room)
     take(room, sent(views[2]))
     assert [view.name for view in read_views(room)] == [view.name for view in views[:2]]
@@ -102,7 +99,7 @@ def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room: Path, f
     assert [view.name for view in read_views(room)] == [views[2].name]
 
 
-def test_a_camera_file_that_has_the_photos_as_well_counts(room: Path, full_room: Path) -> None:
+def test_a_camera_file_that_has_the_photos_as_well_counts(room, full_room):
     """As after COLMAP has posed all photos anew."""
     take(room, sent(read_views(full_room)[2]))
     add(room)
@@ -111,7 +108,7 @@ def test_a_camera_file_that_has_the_photos_as_well_counts(room: Path, full_room:
     assert {view.image_path for view in read_views(room)} == {room / "images" / f"photo_{n}.png" for n in range(4)}
 
 
-def test_features_that_are_sent_are_taken_as_they_are(room: Path, full_room: Path) -> None:
+def test_features_that_are_sent_are_taken_as_they_are(room, full_room):
     view = read_views(full_room)[2]
     features = sent_features(full_room, room, view)
     take(room, sent(view, features=features))
@@ -133,7 +130,7 @@ def sent_features(full_room: Path, room: Path, view: View, rows: Any = None) -> 
     return path.read_bytes()
 
 
-def test_a_view_that_cannot_be_added_is_refused_and_the_others_are_added(room: Path, full_room: Path) -> None:
+def test_a_view_that_cannot_be_added_is_refused_and_the_others_are_added(room, full_room):
     one, other = read_views(full_room)[2:]
     cut = sent(other).photo[:-400]
     take(room, sent(one), sent(other, photo=cut))
@@ -160,10 +157,10 @@ class Blind:
         if image.mean() > 200:
             empty = Masks(*image.shape[:2], np.zeros((0, 4), np.int32), (), np.zeros(0, np.float32))
             return {"large": empty}
-        return load_segmenter("graph").segment(image)  # type: ignore[return-value]
+        return load_segmenter("graph").segment(image)
 
 
-def test_a_photo_without_a_mask_is_refused(room: Path, full_room: Path) -> None:
+def test_a_photo_without_a_mask_is_refused(room, full_room):
     one, other = read_views(full_room)[2:]
     white = as_png(Image.new("RGB", (one.width, one.height), "white"))
     take(room, sent(one, photo=white), sent(other))
@@ -174,9 +171,7 @@ def test_a_photo_without_a_mask_is_refused(room: Path, full_room: Path) -> None:
     assert [view.name for view in outcome.added] == [other.name]
 
 
-def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_others(
-    room: Path, full_room: Path
-) -> None:
+def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_others(room, full_room):
     one, other = read_views(full_room)[2:]
 
     class Failing(MiniEncoder):
@@ -192,12 +187,12 @@ def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_oth
 
     green = as_png(Image.fromarray(np.tile(np.uint8([[[0, 255, 0]], [[255, 0, 0]]]), (36, 96, 1))))
     take(room, sent(one, photo=green), sent(other))
-    outcome = add(room, lambda *_: PhotoModels(load_segmenter("graph"), Failing(), 1080))  # type: ignore[arg-type]
+    outcome = add(room, lambda *_: PhotoModels(load_segmenter("graph"), Failing(), 1080))
     assert [view.name for view in outcome.added] == [other.name]
     assert [view.name for view in outcome.refused] == [one.name]
 
 
-def test_a_view_that_was_removed_from_the_field_stays_out(room: Path, full_room: Path) -> None:
+def test_a_view_that_was_removed_from_the_field_stays_out(room, full_room):
     scene, field = read_gaussians(room / "scene.ply"), load_field(room / "room.field")
     remove_views(field, scene, ["photo_1.png"]).field.save(room / "room.field", overwrite=True)
     cameras = json.loads((room / "cameras.json").read_text())
@@ -207,7 +202,7 @@ def test_a_view_that_was_removed_from_the_field_stays_out(room: Path, full_room:
     assert "stays out" in refused.reason
 
 
-def test_a_name_is_one_view(room: Path, full_room: Path) -> None:
+def test_a_name_is_one_view(room, full_room):
     view = read_views(full_room)[2]
     (first,) = take(room, sent(view))
     assert take(room, sent(view)) == [first]
@@ -227,7 +222,7 @@ def test_a_name_is_one_view(room: Path, full_room: Path) -> None:
     assert [one.name for one in read_views(room)] == ["front/photo_2.png", *(f"photo_{n}.png" for n in range(3))]
 
 
-def test_only_so_many_wait(room: Path, full_room: Path) -> None:
+def test_only_so_many_wait(room, full_room):
     one, other = read_views(full_room)[2:]
     take(room, sent(one), most_waiting=1)
     with pytest.raises(FullError, match="1 views of this scene wait"):
@@ -263,16 +258,14 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("changes", "said"), WRONG, ids=range(len(WRONG)))
-def test_what_cannot_be_a_view_is_refused_at_once(
-    changes: dict[str, Any], said: str, room: Path, full_room: Path
-) -> None:
+def test_what_cannot_be_a_view_is_refused_at_once(changes, said, room, full_room):
     with pytest.raises(InputError, match=said) as error:
         take(room, sent(read_views(full_room)[2], **changes), most_pixels=1_000_000)
     assert "/tmp" not in str(error.value)
     assert not (room / "live_views").exists()
 
 
-def test_features_of_another_photo_or_encoder_are_refused(room: Path, full_room: Path) -> None:
+def test_features_of_another_photo_or_encoder_are_refused(room, full_room):
     view = read_views(full_room)[2]
     ids, rows = read_features(full_room / FEATURES, encoder=MiniEncoder().identity).stored(view.name)
     for changed, said in ((rows[:, :8], "dimensions"), (rows * 0, "no direction"), (rows[:1], "mask")):
@@ -288,7 +281,7 @@ def test_features_of_another_photo_or_encoder_are_refused(room: Path, full_room:
         take(room, sent(view, features=path.read_bytes()))
 
 
-def test_forms_of_a_pose_are_one(room: Path, full_room: Path) -> None:
+def test_forms_of_a_pose_are_one(room, full_room):
     view = read_views(full_room)[2]
     matrix = view.cam_from_world
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
@@ -301,11 +294,11 @@ def test_forms_of_a_pose_are_one(room: Path, full_room: Path) -> None:
     )
     for form in forms:
         found = posed(entry(form, {"fx": 100.0}), (96, 72))
-        np.testing.assert_allclose(found.cam_from_world, matrix, atol=1e-12)
-        np.testing.assert_array_equal(found.K, [[100, 0, 48], [0, 100, 36], [0, 0, 1]])
+        assert_allclose(found.cam_from_world, matrix, atol=1e-12)
+        assert_array_equal(found.K, [[100, 0, 48], [0, 100, 36], [0, 0, 1]])
     twice = {"fx": 200.0, "fy": 100.0, "cx": 90.0, "cy": 80.0, "width": 192, "height": 144, "k1": 0.1, "p2": 0.01}
     found = posed(entry(forms[0], twice), (96, 72))
-    np.testing.assert_array_equal(found.K, [[100, 0, 45], [0, 50, 40], [0, 0, 1]])
+    assert_array_equal(found.K, [[100, 0, 45], [0, 50, 40], [0, 0, 1]])
     assert found.distortion == (0.1, 0.0, 0.0, 0.01)
 
 
@@ -313,7 +306,7 @@ def entry(pose: dict[str, Any], lens: dict[str, Any]) -> LiveView:
     return LiveView("a.jpg", pose, lens, None, False, "", 1.0)
 
 
-def test_a_scene_that_moves_needs_times(room: Path, full_room: Path) -> None:
+def test_a_scene_that_moves_needs_times(room, full_room):
     moving = replace(target(room), moves=True)
     view = sent(read_views(full_room)[2])
     with pytest.raises(InputError, match="this scene moves: expected when"):
@@ -322,7 +315,7 @@ def test_a_scene_that_moves_needs_times(room: Path, full_room: Path) -> None:
     assert LiveViews(room).posed(LiveViews(room).every()[0]).time == 2.0
 
 
-def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room: Path, full_room: Path) -> None:
+def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room, full_room):
     scene = read_scene(full_room.parent / "frames")
     views = [replace(view, time=float(number)) for number, view in enumerate(read_views(full_room))]
     features = read_features(full_room / FEATURES, encoder=MiniEncoder().identity)
@@ -336,7 +329,7 @@ def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room: Path, full
     assert load_field(room / "room.field").equals(register(scene, views[:3], features).to_field())
 
 
-def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room: Path, full_room: Path) -> None:
+def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room, full_room):
     view = read_views(full_room)[2]
     record = room / FEATURES / "embedding.json"
     shutil.copytree(room / FEATURES, room / "kept")
@@ -351,14 +344,14 @@ def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room: Path
     assert known.name == view.name
 
 
-def test_a_field_that_cannot_grow_takes_no_photo(room: Path, full_room: Path) -> None:
+def test_a_field_that_cannot_grow_takes_no_photo(room, full_room):
     at = target(room)
     old = replace(at, field=replace(at.field, growth=None))
     with pytest.raises(InputError, match="does not say how it was made"):
         take_view(old, sent(read_views(full_room)[2]), NAMES)
 
 
-def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room: Path, full_room: Path) -> None:
+def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room, full_room):
     from drsplat.errors import MismatchError
 
     record = room / FEATURES / "embedding.json"
@@ -372,7 +365,7 @@ def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room: 
     assert [view.state for view in LiveViews(room).every()] == ["waiting"]
 
 
-def test_another_writer_makes_views_wait(room: Path, full_room: Path) -> None:
+def test_another_writer_makes_views_wait(room, full_room):
     take(room, sent(read_views(full_room)[2]))
     for place in (room / "room.field",):
         with claimed_output(place), pytest.raises(ClaimedError, match="is being written by"):
@@ -398,9 +391,7 @@ def killed_anywhere(monkeypatch: pytest.MonkeyPatch, work: Any, renew: Any, step
 
 
 @pytest.mark.slow
-def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(
-    half_room: Path, full_room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(half_room, full_room, tmp_path, monkeypatch):
     view = read_views(full_room)[2]
     room, body, features = tmp_path / "room", sent(view), sent_features(full_room, tmp_path / "x", view)
     body = replace(body, features=features)
@@ -426,9 +417,7 @@ def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of a journal that was left open
-def test_a_kill_while_views_are_added_loses_none(
-    half_room: Path, full_room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_while_views_are_added_loses_none(half_room, full_room, tmp_path, monkeypatch):
     room, waiting = tmp_path / "room", Path(shutil.copytree(half_room, tmp_path / "waiting"))
     take(waiting, *map(sent, read_views(full_room)[2:]))
 
@@ -450,7 +439,7 @@ def test_a_kill_while_views_are_added_loses_none(
 
 
 @pytest.mark.parametrize("num_bytes", [10, 600])
-def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes: int, room: Path, full_room: Path) -> None:
+def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes, room, full_room):
     """There is room for neither, or for the photo and not for what is said of it."""
     view = sent(read_views(full_room)[2], photo=as_png(Image.new("1", (96, 72))))
     at = target(room)
@@ -463,7 +452,7 @@ def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes: int, room: Path, ful
 
 @pytest.mark.slow
 @pytest.mark.parametrize("num_bytes", [1000, 30_000])
-def test_a_full_disk_while_views_are_added_loses_none(num_bytes: int, room: Path, full_room: Path) -> None:
+def test_a_full_disk_while_views_are_added_loses_none(num_bytes, room, full_room):
     before = files_of(room / "room.field")
     take(room, *map(sent, read_views(full_room)[2:]))
     with files_of_at_most(num_bytes), pytest.raises(NoRoom, match="there is no room left"):
@@ -474,7 +463,7 @@ def test_a_full_disk_while_views_are_added_loses_none(num_bytes: int, room: Path
     assert files_of(room / "room.field") == files_of(full_room / "room.field")
 
 
-def test_a_view_is_refused_from_outside_only_while_it_waits(room: Path, full_room: Path) -> None:
+def test_a_view_is_refused_from_outside_only_while_it_waits(room, full_room):
     one, other = read_views(full_room)[2:]
     take(room, sent(one), sent(other))
     refuse_view(room, one.name, "it ends the process")
@@ -486,7 +475,7 @@ def test_a_view_is_refused_from_outside_only_while_it_waits(room: Path, full_roo
     ]  # fmt: skip
 
 
-def test_damaged_entries_are_told(room: Path, full_room: Path) -> None:
+def test_damaged_entries_are_told(room, full_room):
     take(room, sent(read_views(full_room)[2]))
     add(room)
     path = room / "live_views/added/photo_2.json"

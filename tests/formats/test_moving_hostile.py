@@ -47,13 +47,13 @@ def judged(folder: Path, file: Path) -> None:
 
 
 @pytest.mark.slow
-def test_damaged_motion(tmp_path: Path) -> None:
+def test_damaged_motion(tmp_path):
     write_moving(tmp_path / "a.motion", drifting(12))
     judged(tmp_path / "a.motion", tmp_path / "a.motion" / MOTION)
 
 
 @pytest.mark.slow
-def test_damaged_frames(tmp_path: Path) -> None:
+def test_damaged_frames(tmp_path):
     write_moving(tmp_path / "frames", drifting(12))
     judged(tmp_path / "frames", tmp_path / "frames" / "frame0002.ply")
 
@@ -92,7 +92,7 @@ def _nan(tensors: dict[str, np.ndarray], _: dict[str, str]) -> None:
         (lambda _, metadata: metadata.pop("format"), f"expected '{FORMAT}'"),
     ],
 )
-def test_what_does_not_fit_is_said(tmp_path: Path, change: Change, message: str) -> None:
+def test_what_does_not_fit_is_said(tmp_path, change, message):
     write_moving(tmp_path / "a.motion", drifting(12))
     file = tmp_path / "a.motion" / MOTION
     tensors, metadata = map_tensors(file)
@@ -103,7 +103,7 @@ def test_what_does_not_fit_is_said(tmp_path: Path, change: Change, message: str)
         read_all(tmp_path / "a.motion")
 
 
-def test_a_count_in_the_header_allocates_nothing(tmp_path: Path) -> None:
+def test_a_count_in_the_header_allocates_nothing(tmp_path):
     write_moving(tmp_path / "a.motion", drifting(12))
     file = tmp_path / "a.motion" / MOTION
     raw = file.read_bytes()
@@ -117,7 +117,7 @@ def test_a_count_in_the_header_allocates_nothing(tmp_path: Path) -> None:
         read_all(tmp_path / "a.motion")
 
 
-def test_a_frame_that_vanishes_is_said(tmp_path: Path) -> None:
+def test_a_frame_that_vanishes_is_said(tmp_path):
     write_moving(tmp_path / "frames", drifting(12))
     moving = read_moving(tmp_path / "frames")
     shutil.rmtree(tmp_path / "frames")

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.errors import DrSplatError, FormatError, InputError
+from drsplat.errors import DrSplatError
 from drsplat.formats.peer_features import read_peer_features
 from drsplat.formats.tensors import write_tensors
 from mutations import bounded_allocations, mutants, quota, seeded
+from refusing import malformed, refused
 
 RNG = np.random.default_rng(0)
 ROWS = RNG.normal(size=(50, 16)).astype(np.float32)
@@ -24,48 +26,48 @@ def leaves_file(path: Path) -> Path:
     return path
 
 
-def test_arrays_are_read_as_they_are(tmp_path: Path) -> None:
+def test_arrays_are_read_as_they_are(tmp_path):
     np.save(tmp_path / "a.npy", ROWS)
     write_tensors(tmp_path / "a.safetensors", {"features": ROWS})
     for name in ("a.npy", "a.safetensors"):
-        np.testing.assert_array_equal(read_peer_features(tmp_path / name)[:], ROWS)
+        assert_array_equal(read_peer_features(tmp_path / name)[:], ROWS)
 
 
-def test_of_several_arrays_the_one_that_is_named_so(tmp_path: Path) -> None:
+def test_of_several_arrays_the_one_that_is_named_so(tmp_path):
     write_tensors(tmp_path / "a.safetensors", {"means": ROWS[:, :3], "language_features": ROWS})
-    np.testing.assert_array_equal(read_peer_features(tmp_path / "a.safetensors")[:], ROWS)
+    assert_array_equal(read_peer_features(tmp_path / "a.safetensors")[:], ROWS)
     write_tensors(tmp_path / "b.safetensors", {"one": ROWS, "two": ROWS})
-    with pytest.raises(InputError, match=r"expected one array .* found one \(50, 16\), two \(50, 16\)"):
+    with refused(r"expected one array .* found one \(50, 16\), two \(50, 16\)"):
         read_peer_features(tmp_path / "b.safetensors")
 
 
-def test_leaves_give_their_features_to_their_gaussians(tmp_path: Path) -> None:
+def test_leaves_give_their_features_to_their_gaussians(tmp_path):
     found = read_peer_features(leaves_file(tmp_path / "cluster_lang.npz"))
     assert (len(found), found.shape, found.dtype) == (50, (50, 16), np.float16)
     expected = np.where(LEAVES[:, None] >= 0, OF_LEAVES[LEAVES], 0)
-    np.testing.assert_array_equal(found[:], expected)
-    np.testing.assert_array_equal(found[7:20], expected[7:20])
+    assert_array_equal(found[:], expected)
+    assert_array_equal(found[7:20], expected[7:20])
 
 
-def test_a_leaf_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_leaf_that_is_not_there_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", leaf_feat=OF_LEAVES, leaf_ind=np.array([0, 6]))
-    with pytest.raises(FormatError, match="leaf 6, and there are 6"):
+    with malformed("leaf 6, and there are 6"):
         read_peer_features(tmp_path / "a.npz")
     np.savez(tmp_path / "b.npz", features=ROWS)
-    with pytest.raises(InputError, match="expected the arrays leaf_feat and leaf_ind, found \\['features'\\]"):
+    with refused("expected the arrays leaf_feat and leaf_ind, found \\['features'\\]"):
         read_peer_features(tmp_path / "b.npz")
 
 
 @pytest.mark.parametrize("array", [ROWS[0], ROWS.astype(np.float64), ROWS.astype(np.int32)], ids=["1-d", "f64", "i32"])
-def test_other_arrays_are_refused(array: np.ndarray, tmp_path: Path) -> None:
+def test_other_arrays_are_refused(array, tmp_path):
     np.save(tmp_path / "a.npy", array)
-    with pytest.raises(InputError, match=r"expected float16 or float32 \(N, D\)"):
+    with refused(r"expected float16 or float32 \(N, D\)"):
         read_peer_features(tmp_path / "a.npy")
 
 
-def test_codes_without_their_decoder_are_refused(tmp_path: Path) -> None:
+def test_codes_without_their_decoder_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", ROWS[:, :3])
-    with pytest.raises(InputError, match=r"codes of LangSplat's autoencoder: pass its checkpoint, decoder=FILE"):
+    with refused(r"codes of LangSplat's autoencoder: pass its checkpoint, decoder=FILE"):
         read_peer_features(tmp_path / "a.npy")
 
 
@@ -105,32 +107,32 @@ class TestOfPyTorch:
             expected = torch.nn.functional.normalize(expected)
         return scene, self.saved(state, folder / "best_ckpt.pth"), expected.numpy()
 
-    def test_a_tensor(self, tmp_path: Path) -> None:
+    def test_a_tensor(self, tmp_path):
         path = self.saved({"features": self.torch.from_numpy(ROWS)}, tmp_path / "a.pt")
-        np.testing.assert_array_equal(read_peer_features(path)[:], ROWS)
+        assert_array_equal(read_peer_features(path)[:], ROWS)
 
-    def test_langsplat_is_decoded(self, tmp_path: Path) -> None:
+    def test_langsplat_is_decoded(self, tmp_path):
         scene, autoencoder, expected = self.langsplat(tmp_path)
         found = read_peer_features(scene, autoencoder)
         assert found.shape == (50, 20)
-        np.testing.assert_allclose(found[10:30], expected[10:30], atol=1e-6)
-        with pytest.raises(InputError, match="codes of LangSplat's autoencoder"):
+        assert_allclose(found[10:30], expected[10:30], atol=1e-6)
+        with refused("codes of LangSplat's autoencoder"):
             read_peer_features(scene)
 
-    def test_a_decoder_of_others_is_refused(self, tmp_path: Path) -> None:
+    def test_a_decoder_of_others_is_refused(self, tmp_path):
         scene, _, _ = self.langsplat(tmp_path)
         other = self.saved({"decoder.0.weight": self.torch.zeros(4, 5)}, tmp_path / "other.pth")
-        with pytest.raises(FormatError, match="expected a layer of 3 inputs with its bias"):
+        with malformed("expected a layer of 3 inputs with its bias"):
             read_peer_features(scene, other)
-        with pytest.raises(InputError, match=r"expected layers decoder\.0\.weight and so on"):
+        with refused(r"expected layers decoder\.0\.weight and so on"):
             read_peer_features(scene, self.saved({"a": self.torch.zeros(2)}, tmp_path / "none.pth"))
 
-    def test_what_would_run_code_is_refused(self, tmp_path: Path) -> None:
+    def test_what_would_run_code_is_refused(self, tmp_path):
         path = self.saved({"features": print}, tmp_path / "a.pth")
-        with pytest.raises(FormatError, match="without running what is in it"):
+        with malformed("without running what is in it"):
             read_peer_features(path)
 
-    def test_damaged_checkpoints(self, tmp_path: Path) -> None:
+    def test_damaged_checkpoints(self, tmp_path):
         scene, autoencoder, _ = self.langsplat(tmp_path)
         for data in mutants(scene.read_bytes(), seeded(5), quota(40)):
             (tmp_path / "x.pth").write_bytes(data)
@@ -138,7 +140,7 @@ class TestOfPyTorch:
                 read_peer_features(tmp_path / "x.pth", autoencoder)[:]
 
 
-def test_damaged_leaves(tmp_path: Path) -> None:
+def test_damaged_leaves(tmp_path):
     good = leaves_file(tmp_path / "good.npz").read_bytes()
     with bounded_allocations(1 << 30):
         for data in mutants(good, seeded(3), quota(150)):
@@ -148,8 +150,8 @@ def test_damaged_leaves(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.npy", "a.npz", "a.safetensors", "a.pth"])
-def test_missing_files_say_so(name: str, tmp_path: Path) -> None:
+def test_missing_files_say_so(name, tmp_path):
     if name.endswith(".pth"):
         pytest.importorskip("torch")
-    with pytest.raises(InputError, match="there is no such file"):
+    with refused("there is no such file"):
         read_peer_features(tmp_path / name)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_usd import labelled
 
-from command_line import Capture, answer_of, error_of
+from command_line import answer_of, error_of
 from drsplat import read_views
 from drsplat.errors import InputError, MissingExtraError
 from drsplat.formats.known import write_scene
@@ -28,7 +28,7 @@ def printed(path: Path, *arguments: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.oracle
-def test_rerun_reads_what_we_write(tmp_path: Path) -> None:
+def test_rerun_reads_what_we_write(tmp_path):
     pytest.importorskip("rerun")
     view = View("a.png", np.array([[100.0, 0, 50], [0, 100, 40], [0, 0, 1]]), np.eye(4), 100, 80)
     write_rrd(tmp_path / "out.rrd", replace(labelled(), views=(view,)))
@@ -46,13 +46,13 @@ def test_rerun_reads_what_we_write(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.oracle
 @pytest.mark.parametrize("degree", range(4))
-def test_each_degree_is_written(degree: int, tmp_path: Path) -> None:
+def test_each_degree_is_written(degree, tmp_path):
     pytest.importorskip("rerun")
     write_scene(tmp_path / "out.rrd", LabelledScene(random_gaussians(np.random.default_rng(0), 5, degree)))
     assert ("sh_coefficients" in printed(tmp_path / "out.rrd", "print", "-v")) == (degree > 0)
 
 
-def test_without_the_sdk_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_the_sdk_it_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(MissingExtraError, match=r"\[rerun\]"):
         write_scene(tmp_path / "out.rrd", labelled())
@@ -68,7 +68,7 @@ def moving() -> Moving:
 
 
 @pytest.mark.oracle
-def test_motion_is_on_a_timeline_with_tracks_of_objects(tmp_path: Path) -> None:
+def test_motion_is_on_a_timeline_with_tracks_of_objects(tmp_path):
     pytest.importorskip("rerun")
     thing = Thing("mug", 0.5, np.array([5.0, 0, 0]), np.eye(3), np.ones(3))
     owners, motion = np.array([0, 0, -1, 0], np.int32), moving()
@@ -88,7 +88,7 @@ def test_motion_is_on_a_timeline_with_tracks_of_objects(tmp_path: Path) -> None:
 
 
 @pytest.mark.oracle
-def test_the_verb_writes_all_of_a_motion_or_one_time(tmp_path: Path, capsys: Capture) -> None:
+def test_the_verb_writes_all_of_a_motion_or_one_time(tmp_path, capsys):
     pytest.importorskip("rerun")
     write_motion(tmp_path / "film.motion", moving())
     base = ("export", tmp_path / "film.motion")
@@ -101,7 +101,7 @@ def test_the_verb_writes_all_of_a_motion_or_one_time(tmp_path: Path, capsys: Cap
 
 
 @pytest.mark.oracle
-def test_photos_go_along_where_they_are_asked_for(edited_room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_photos_go_along_where_they_are_asked_for(edited_room, tmp_path, capsys):
     pytest.importorskip("rerun")
     scene, views = edited_room / "scene.ply", edited_room / "capture"
     refused = error_of(capsys, "export", scene, "--photos", "--output", tmp_path / "no.rrd")
@@ -117,7 +117,7 @@ def test_photos_go_along_where_they_are_asked_for(edited_room: Path, tmp_path: P
     assert any("no photos" in sentence for sentence in answer["lacks"])
 
 
-def test_a_part_of_what_moves_has_one_time() -> None:
+def test_a_part_of_what_moves_has_one_time():
     motion = moving()
     with pytest.raises(InputError, match=r"4 Gaussians move and 3 are written.*pass time=T"):
         LabelledScene(motion.canonical.subset(np.arange(3)), motion=motion)

@@ -1,19 +1,17 @@
 """Valid files of other programs are read as they are meant, or refused with the reason: see `strange_files`."""
 
-from pathlib import Path
-
 import pytest
 
-from strange_files import CASES, Case
+from strange_files import CASES
 
 
 @pytest.mark.parametrize("one", CASES, ids=lambda one: f"{one.kind}: {one.name}")
-def test_a_file_is_read_as_it_is_meant_or_refused_with_the_reason(one: Case, tmp_path: Path) -> None:
+def test_a_file_is_read_as_it_is_meant_or_refused_with_the_reason(one, tmp_path):
     outcome = one.outcome(tmp_path)
     assert one.is_right(outcome), outcome
 
 
-def test_errors_say_what_was_given_what_it_was_taken_for_and_what_to_do_in_that_order() -> None:
+def test_errors_say_what_was_given_what_it_was_taken_for_and_what_to_do_in_that_order():
     """`expected` of an error has these three behind its class, and `is_right` asks for them in their order."""
     errors = [one for one in CASES if one.is_error]
     assert len(errors) > 40

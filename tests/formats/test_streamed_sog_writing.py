@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import cKDTree
 
 import drsplat as ds
-from command_line import Capture, answer_of, error_of
+from command_line import answer_of, error_of
 from drsplat.authoring.editing import Edit, EditFile, Remove, Rows
 from drsplat.authoring.exporting import export
 from drsplat.errors import DrSplatError, FormatError, InputError
@@ -78,20 +78,18 @@ def chunk(path: Path, number: int) -> Gaussians:
     return read_unpacked_sog(path.parent / document_of(path)["filenames"][number])
 
 
-def test_the_finest_level_is_the_scene_with_its_objects(tmp_path: Path) -> None:
+def test_the_finest_level_is_the_scene_with_its_objects(tmp_path):
     scene = labelled()
     read = ds.read_gaussians(written(tmp_path, scene))
     apart, rows = cKDTree(scene.gaussians.means).query(read.means)
     assert apart.max() < 1e-3
     assert_array_equal(np.sort(rows), np.arange(COUNT))
-    assert scene.object_numbers is not None
-    assert scene.relevancy is not None
     assert_array_equal(read.extra["object_id"], scene.object_numbers[rows])
     assert_allclose(read.extra["relevancy"], scene.relevancy[rows], atol=1 / 65535)
     assert_allclose(read.opacities, scene.gaussians.opacities[rows], atol=0.5 / 255 + 1e-6)
 
 
-def test_names_lie_beside_once(tmp_path: Path) -> None:
+def test_names_lie_beside_once(tmp_path):
     path = written(tmp_path, labelled())
     labels = read_streamed_labels(path)
     assert [(thing.number, thing.name) for thing in labels.things] == [(7, NAMES[0]), (8, NAMES[1]), (9, NAMES[2])]
@@ -99,7 +97,7 @@ def test_names_lie_beside_once(tmp_path: Path) -> None:
     assert [file.parent for file in path.parent.rglob("drsplat_labels.json")] == [path.parent]
 
 
-def test_chunks_are_the_runs_of_the_leaves_and_nothing_else(tmp_path: Path) -> None:
+def test_chunks_are_the_runs_of_the_leaves_and_nothing_else(tmp_path):
     """Each run has its rows in one chunk of its level; together they are the chunk, none of which is overfull."""
     path = written(tmp_path, labelled())
     document = document_of(path)
@@ -119,7 +117,7 @@ def test_chunks_are_the_runs_of_the_leaves_and_nothing_else(tmp_path: Path) -> N
     assert document["lodLevels"] == LEVELS
 
 
-def test_levels_are_coarser_and_in_the_boxes(tmp_path: Path) -> None:
+def test_levels_are_coarser_and_in_the_boxes(tmp_path):
     path = written(tmp_path, labelled())
     for leaf in leaves_of(document_of(path)["tree"]):
         low, high = (np.array(leaf["bound"][end]) for end in ("min", "max"))
@@ -137,7 +135,7 @@ def test_levels_are_coarser_and_in_the_boxes(tmp_path: Path) -> None:
             assert len(coarse) <= max(few, len(fine) // 2)
 
 
-def test_without_objects_levels_have_a_quarter_each(tmp_path: Path) -> None:
+def test_without_objects_levels_have_a_quarter_each(tmp_path):
     path = written(tmp_path, LabelledScene(labelled(256).gaussians))
     assert counts_of_levels(path)[0] == 256
     for leaf in leaves_of(document_of(path)["tree"]):
@@ -147,9 +145,7 @@ def test_without_objects_levels_have_a_quarter_each(tmp_path: Path) -> None:
     assert read_streamed_labels(path).things == ()
 
 
-def test_tiles_are_written_without_the_whole_scene(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_tiles_are_written_without_the_whole_scene(tmp_path, monkeypatch, capsys):
     gaussians = labelled().gaussians
     ds.write_gaussians(tmp_path / "scene.ply", gaussians)
     cut([Block(source) for source in sources_of(tmp_path / "scene.ply")], tmp_path / "city.tiles", 100)
@@ -167,7 +163,7 @@ def test_tiles_are_written_without_the_whole_scene(
     assert cKDTree(gaussians.means).query(read.means)[0].max() < 1e-3
 
 
-def test_a_scene_far_from_zero_keeps_its_place(tmp_path: Path) -> None:
+def test_a_scene_far_from_zero_keeps_its_place(tmp_path):
     own = replace(labelled().gaussians, origin=np.array([5e5, 4e6, 100.0]))
     read = read_streamed_sog(written(tmp_path, LabelledScene(own)), 0)
     local = cKDTree(own.means.astype(np.float64))
@@ -175,13 +171,13 @@ def test_a_scene_far_from_zero_keeps_its_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, LEAF, LEAF + 1])
-def test_small_scenes_have_a_tree(count: int, tmp_path: Path) -> None:
+def test_small_scenes_have_a_tree(count, tmp_path):
     path = written(tmp_path, LabelledScene(labelled(count, 0).gaussians))
     assert counts_of_levels(path)[0] == count
     assert len(read_streamed_sog(path, LEVELS - 1)) == sum(1 for _ in leaves_of(document_of(path)["tree"]))
 
 
-def test_the_same_bytes_twice(tmp_path: Path) -> None:
+def test_the_same_bytes_twice(tmp_path):
     folders = [tmp_path / name for name in "ab"]
     files = []
     for folder in folders:
@@ -191,7 +187,7 @@ def test_the_same_bytes_twice(tmp_path: Path) -> None:
     assert files[0] == files[1]
 
 
-def test_export_and_inspect_by_the_verb(tmp_path: Path, capsys: Capture) -> None:
+def test_export_and_inspect_by_the_verb(tmp_path, capsys):
     ds.write_gaussians(tmp_path / "scene.ply", labelled().gaussians)
     out = tmp_path / "out" / LOD_META
     answer_of(capsys, "export", tmp_path / "scene.ply", "--output", out)
@@ -209,20 +205,20 @@ def test_export_and_inspect_by_the_verb(tmp_path: Path, capsys: Capture) -> None
     assert "not ours to replace" in refused
 
 
-def test_names_are_inspected(tmp_path: Path, capsys: Capture) -> None:
+def test_names_are_inspected(tmp_path, capsys):
     export(tmp_path / "out" / LOD_META, labelled())
     for place in (tmp_path / "out", tmp_path / "out" / LOD_META):
         facts = answer_of(capsys, "inspect", place)
         assert [one["id"] for one in facts["objects"]] == [7, 8, 9]
 
 
-def test_a_level_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_level_that_is_not_there_is_refused(tmp_path):
     path = written(tmp_path, labelled())
     with pytest.raises(FormatError, match="no chunk of level 4"):
         read_streamed_sog(path, LEVELS)
 
 
-def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_refused(tmp_path):
     scene = labelled(5)
     with pytest.raises(InputError, match="no Gaussians to write"):
         written(tmp_path, LabelledScene(scene.gaussians.subset(np.zeros(0, int))))
@@ -232,7 +228,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_damaged_indices_and_names_are_refused_or_read(tmp_path: Path) -> None:
+def test_damaged_indices_and_names_are_refused_or_read(tmp_path):
     path, rng = written(tmp_path, labelled(60)), seeded(41)
     for name in (LOD_META, "drsplat_labels.json"):
         good = (path.parent / name).read_bytes()
@@ -245,14 +241,14 @@ def test_damaged_indices_and_names_are_refused_or_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../secret.json", "/etc/passwd", "", 3])
-def test_names_elsewhere_are_refused(name: object, tmp_path: Path) -> None:
+def test_names_elsewhere_are_refused(name, tmp_path):
     path = written(tmp_path, labelled(60))
     path.write_text(json.dumps(document_of(path) | {"drsplat": {"labels": name}}))
     with pytest.raises(FormatError):
         read_streamed_labels(path)
 
 
-def test_tiles_with_kept_edits_are_written_as_edited(tmp_path: Path, capsys: Capture) -> None:
+def test_tiles_with_kept_edits_are_written_as_edited(tmp_path, capsys):
     ds.write_gaussians(tmp_path / "scene.ply", labelled().gaussians)
     tiles = cut([Block(source) for source in sources_of(tmp_path / "scene.ply")], tmp_path / "city.tiles", 100)
     edit = Edit(Rows.of(np.arange(50), "query", "some"), Remove())

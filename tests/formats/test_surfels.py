@@ -2,14 +2,13 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
-from command_line import Capture, answer_of
+from command_line import answer_of
 from drsplat.authoring.exporting import export
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.gaussian_ply import write_gaussians
@@ -45,7 +44,7 @@ def assert_flat(read: Gaussians) -> None:
 
 @pytest.mark.parametrize("order", ["<", ">", "a"])
 @pytest.mark.parametrize("comments", [(), (MARK,), ("SplatRenderMode: mip",)])
-def test_a_file_without_a_third_scale_is_of_surfels(order: str, comments: tuple[str, ...]) -> None:
+def test_a_file_without_a_third_scale_is_of_surfels(order, comments):
     """What the columns say outranks a comment."""
     read, own = parse_gaussians(memoryview(surfel_ply(order, *comments))), scene()
     assert_flat(read)
@@ -60,19 +59,19 @@ def test_a_file_without_a_third_scale_is_of_surfels(order: str, comments: tuple[
 @pytest.mark.parametrize(
     ("comments", "expected"), [((), False), ((MARK.upper(),), True), ((MARK, "antialiased 0"), False)]
 )
-def test_the_last_mark_decides_where_there_is_a_third_scale(write, comments, expected) -> None:
+def test_the_last_mark_decides_where_there_is_a_third_scale(write, comments, expected):
     read = parse_gaussians(memoryview(commented(write(scene()), *comments)))
     assert read.surfels == expected
 
 
 @pytest.mark.parametrize("missing", ["scale_1", "rot_3", "opacity"])
-def test_a_file_that_lacks_more_is_none(missing: str) -> None:
+def test_a_file_that_lacks_more_is_none(missing):
     columns = {name: column for name, column in ply_columns(scene()).items() if name not in ("scale_2", missing)}
     with pytest.raises(ds.errors.FormatError, match=f"and no .*{missing}.*no 3DGS PLY"):
         parse_gaussians(memoryview(ply_bytes(columns)))
 
 
-def test_it_is_written_as_it_came(tmp_path: Path) -> None:
+def test_it_is_written_as_it_came(tmp_path):
     """Without the column, as 2DGS reads it, and with the mark; read back to the bit."""
     (tmp_path / "a.ply").write_bytes(surfel_ply())
     first = read_gaussians(tmp_path / "a.ply")
@@ -89,14 +88,14 @@ def test_it_is_written_as_it_came(tmp_path: Path) -> None:
     assert_array_equal(third.scales, second.scales)
 
 
-def test_other_scenes_are_written_as_before(tmp_path: Path) -> None:
+def test_other_scenes_are_written_as_before(tmp_path):
     write_gaussians(tmp_path / "plain.ply", scene())
     head = (tmp_path / "plain.ply").read_bytes().split(b"end_header")[0]
     assert b"scale_2" in head
     assert b"comment" not in head
 
 
-def test_sog_has_it_as_its_model() -> None:
+def test_sog_has_it_as_its_model():
     flat = scene(300).flattened()
     data = sog_bytes(LabelledScene(flat))
     start = data.index(b'{"version"')
@@ -107,32 +106,32 @@ def test_sog_has_it_as_its_model() -> None:
     assert_flat(parse_gaussians(memoryview(zip_bytes(files))))
 
 
-def test_tiles_and_parts_are_of_surfels(tmp_path: Path) -> None:
+def test_tiles_and_parts_are_of_surfels(tmp_path):
     (tmp_path / "a.ply").write_bytes(surfel_ply())
     cut([Block(source) for source in sources_of(tmp_path / "a.ply")], tmp_path / "tiles", 7)
     assert_flat(read_tiles(tmp_path / "tiles").gaussians())
     assert_flat(scene().flattened().subset(np.arange(3)))
 
 
-def test_what_is_merged_is_of_surfels_no_more() -> None:
+def test_what_is_merged_is_of_surfels_no_more():
     assert not coarser(scene().flattened(), 10).gaussians.surfels
 
 
 @pytest.mark.parametrize(("name", "said"), [("a.ply", False), ("a.sog", False), ("a.glb", False), ("a.spz", True)])
-def test_formats_that_cannot_say_so_are_told(name: str, said: bool, tmp_path: Path) -> None:
+def test_formats_that_cannot_say_so_are_told(name, said, tmp_path):
     lacks = export(tmp_path / name, scene().flattened()).lacks
     assert bool(lacks) == said
     assert all("surfels" in sentence for sentence in lacks)
     assert read_gaussians(tmp_path / name).surfels != said
 
 
-def test_inspect_says_so(tmp_path: Path, capsys: Capture) -> None:
+def test_inspect_says_so(tmp_path, capsys):
     (tmp_path / "a.ply").write_bytes(surfel_ply())
     write_gaussians(tmp_path / "b.ply", scene())
     assert [answer_of(capsys, "inspect", tmp_path / name)["surfels"] for name in ("a.ply", "b.ply")] == [True, False]
 
 
-def test_a_surfel_is_drawn_as_the_limit_of_flat_gaussians() -> None:
+def test_a_surfel_is_drawn_as_the_limit_of_flat_gaussians():
     view = look_at_view((0, -6, 1), width=64, height=48)
     flat = scene().flattened()
     thin = replace(flat, scales=np.column_stack([flat.scales[:, :2], np.full(len(flat), np.float32(1e-4))]))
@@ -142,14 +141,14 @@ def test_a_surfel_is_drawn_as_the_limit_of_flat_gaussians() -> None:
     assert np.abs(pictures[0] - pictures[2]).max() > 0.02
 
 
-def test_rows_that_are_none_are_counted() -> None:
+def test_rows_that_are_none_are_counted():
     columns = {name: column.copy() for name, column in ply_columns(scene()).items() if name != "scale_2"}
     columns["scale_0"][5] = np.nan
     with pytest.raises(ds.errors.FormatError, match=r"1 of 40 rows have scales .* the first is row 5"):
         parse_gaussians(memoryview(ply_bytes(columns)))
 
 
-def test_a_claimed_count_is_refused() -> None:
+def test_a_claimed_count_is_refused():
     lying = surfel_ply().replace(b"element vertex 40", b"element vertex %d" % 10**9)
     with pytest.raises(ds.errors.FormatError):
         parse_gaussians(memoryview(lying))

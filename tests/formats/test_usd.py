@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 
-from command_line import Capture, answer_of
+from command_line import answer_of
 from drsplat import read_gaussians
 from drsplat.errors import DrSplatWarning, FormatError, InputError
 from drsplat.formats.known import write_scene
@@ -36,7 +38,7 @@ ALLOWANCE = 48 << 20
 
 def labelled(count: int = 40, names: tuple[str, ...] = NAMES) -> LabelledScene:
     """Make a scene with everything that a file can carry, none of it at zero or upright."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     gaussians = replace(random_gaussians(rng, count), origin=np.array([5e5, 4e6, 100.25]))
     unit = np.array([0.6, 0.8], np.float32)
     things = tuple(
@@ -63,22 +65,22 @@ def needs_library(path: Path) -> None:
 
 def assert_equal(read: Gaussians, written: Gaussians, atol: float = 2e-7) -> None:
     """Compare all but positions to what another normalising of quaternions leaves."""
-    np.testing.assert_array_equal(read.means, written.means)
+    assert_array_equal(read.means, written.means)
     for name in ("quats", "scales", "opacities", "sh"):
-        np.testing.assert_allclose(getattr(read, name), getattr(written, name), rtol=0, atol=atol, err_msg=name)
+        assert_allclose(getattr(read, name), getattr(written, name), rtol=0, atol=atol, err_msg=name)
 
 
 def assert_same_things(read: tuple[Thing, ...], written: tuple[Thing, ...]) -> None:
     for ours, theirs in zip(read, written, strict=True):
         assert (ours.name, ours.score, ours.parent) == (theirs.name, theirs.score, theirs.parent)
         for name in ("center", "axes", "extent"):
-            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+            assert_array_equal(getattr(ours, name), getattr(theirs, name))
         if theirs.embedding is not None:
-            np.testing.assert_array_equal(ours.embedding, theirs.embedding)
+            assert_array_equal(ours.embedding, theirs.embedding)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_scene_comes_back_with_everything(suffix: str, tmp_path: Path) -> None:
+def test_a_scene_comes_back_with_everything(suffix, tmp_path):
     scene, path = labelled(), tmp_path / f"out{suffix}"
     needs_library(path)
     write_scene(path, scene)
@@ -87,19 +89,19 @@ def test_a_scene_comes_back_with_everything(suffix: str, tmp_path: Path) -> None
     assert read.gaussians.fingerprint == scene.gaussians.fingerprint
     for name in ("things", "groups", "matches"):
         assert_same_things(getattr(read, name), getattr(scene, name))
-    np.testing.assert_array_equal(read.object_of, scene.object_of)
-    np.testing.assert_array_equal(read.relevancy, scene.relevancy)
+    assert_array_equal(read.object_of, scene.object_of)
+    assert_array_equal(read.relevancy, scene.relevancy)
     assert (read.title, read.query, read.up, read.encoder) == (scene.title, scene.query, scene.up, scene.encoder)
     assert [(note.text, note.outline is None) for note in read.annotations] == [("a point", True), ("a box", False)]
-    np.testing.assert_array_equal(read.annotations[1].outline.axes, TURNED)
+    assert_array_equal(read.annotations[1].outline.axes, TURNED)
     with pytest.raises(InputError, match="exists already"):
         write_scene(path, scene)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("degree", range(4))
-def test_each_degree_comes_back(degree: int, suffix: str, tmp_path: Path) -> None:
-    gaussians = replace(random_gaussians(np.random.default_rng(degree), 9, degree), antialiased=degree == 2)
+def test_each_degree_comes_back(degree, suffix, tmp_path):
+    gaussians = replace(random_gaussians(default_rng(degree), 9, degree), antialiased=degree == 2)
     path = tmp_path / f"out{suffix}"
     needs_library(path)
     write_scene(path, LabelledScene(gaussians))
@@ -108,15 +110,15 @@ def test_each_degree_comes_back(degree: int, suffix: str, tmp_path: Path) -> Non
     assert (read.sh_degree, read.antialiased, dict(read.extra)) == (degree, degree == 2, {})
 
 
-def test_blocks_of_rows_meet(tmp_path: Path) -> None:
+def test_blocks_of_rows_meet(tmp_path):
     """4,096 rows are text at once, and 4 MiB of text numbers; a row more than one of each."""
-    gaussians = random_gaussians(np.random.default_rng(1), 9_000)
+    gaussians = random_gaussians(default_rng(1), 9_000)
     write_scene(tmp_path / "out.usda", LabelledScene(gaussians))
     assert (tmp_path / "out.usda").stat().st_size > 6 << 20
     assert_equal(read_gaussians(tmp_path / "out.usda"), gaussians)
 
 
-def test_openusd_reads_what_we_write(tmp_path: Path) -> None:
+def test_openusd_reads_what_we_write(tmp_path):
     """Typed values, and where the prims stand: up is +Y, boxes are where their numbers say."""
     pytest.importorskip("pxr")
     from pxr import Gf, Usd, UsdGeom, UsdVol
@@ -127,30 +129,30 @@ def test_openusd_reads_what_we_write(tmp_path: Path) -> None:
     assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Y", 1.0)
     splat = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/scene/gaussians"))
     g = scene.gaussians
-    np.testing.assert_array_equal(splat.GetPositionsAttr().Get(), g.means)
-    np.testing.assert_array_equal(splat.GetScalesAttr().Get(), g.scales)
-    np.testing.assert_array_equal(splat.GetOpacitiesAttr().Get(), g.opacities)
+    assert_array_equal(splat.GetPositionsAttr().Get(), g.means)
+    assert_array_equal(splat.GetScalesAttr().Get(), g.scales)
+    assert_array_equal(splat.GetOpacitiesAttr().Get(), g.opacities)
     turns = splat.GetOrientationsAttr().Get()
-    np.testing.assert_array_equal([[turn.GetReal(), *turn.GetImaginary()] for turn in turns], g.quats)
+    assert_array_equal([[turn.GetReal(), *turn.GetImaginary()] for turn in turns], g.quats)
     harmonics = splat.GetRadianceSphericalHarmonicsCoefficientsAttr().Get()
-    np.testing.assert_array_equal(np.array(harmonics).reshape(len(g), -1, 3), g.sh)
+    assert_array_equal(np.array(harmonics).reshape(len(g), -1, 3), g.sh)
     assert splat.GetRadianceSphericalHarmonicsDegreeAttr().Get() == 3
     numbers = UsdGeom.PrimvarsAPI(splat).GetPrimvar("object_id")
     assert numbers.GetInterpolation() == "vertex"
-    np.testing.assert_array_equal(numbers.Get(), scene.object_of)
+    assert_array_equal(numbers.Get(), scene.object_of)
     turn = UsdGeom.Xformable(splat).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
-    np.testing.assert_allclose(turn.TransformDir(Gf.Vec3d(*scene.up)), [0, 1, 0], atol=1e-12)
+    assert_allclose(turn.TransformDir(Gf.Vec3d(*scene.up)), [0, 1, 0], atol=1e-12)
     world = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/scene"))
-    np.testing.assert_allclose(turn.ExtractTranslation(), world.Transform(Gf.Vec3d(*g.origin)), atol=1e-6)
+    assert_allclose(turn.ExtractTranslation(), world.Transform(Gf.Vec3d(*g.origin)), atol=1e-6)
     prims = stage.GetPrimAtPath("/scene/objects").GetChildren()
     assert [prim.GetDisplayName() for prim in prims] == list(NAMES)
     for prim, thing in zip(prims, scene.things, strict=True):
         place = UsdGeom.Cube(prim).GetLocalTransformation()
         corner = thing.center + 0.5 * thing.extent @ thing.axes
-        np.testing.assert_allclose(place.Transform(Gf.Vec3d(0.5, 0.5, 0.5)), corner, atol=1e-12)
+        assert_allclose(place.Transform(Gf.Vec3d(0.5, 0.5, 0.5)), corner, atol=1e-12)
 
 
-def test_the_extent_holds_three_standard_deviations(tmp_path: Path) -> None:
+def test_the_extent_holds_three_standard_deviations(tmp_path):
     """Of one Gaussian that is turned by a quarter about z: its longest axis then lies along y."""
     pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom
@@ -163,11 +165,11 @@ def test_the_extent_holds_three_standard_deviations(tmp_path: Path) -> None:
     write_scene(tmp_path / "out.usda", LabelledScene(one))
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     extent = np.array(UsdGeom.Boundable(stage.GetPrimAtPath("/scene/gaussians")).GetExtentAttr().Get())
-    np.testing.assert_allclose(extent, [[-2, -4, 1.5], [4, 8, 4.5]], atol=1e-5)
+    assert_allclose(extent, [[-2, -4, 1.5], [4, 8, 4.5]], atol=1e-5)
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
-def test_openusd_finds_nothing_to_object(suffix: str, tmp_path: Path) -> None:
+def test_openusd_finds_nothing_to_object(suffix, tmp_path):
     pytest.importorskip("pxr")
     from pxr import Usd, UsdValidation
 
@@ -179,7 +181,7 @@ def test_openusd_finds_nothing_to_object(suffix: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
-def test_tinyusdz_reads_what_we_write(suffix: str, tmp_path: Path) -> None:
+def test_tinyusdz_reads_what_we_write(suffix, tmp_path):
     """Another implementation than OpenUSD's, in another language."""
     tinyusdz = pytest.importorskip("tinyusdz")
     scene, path = labelled(), tmp_path / f"out{suffix}"
@@ -189,17 +191,17 @@ def test_tinyusdz_reads_what_we_write(suffix: str, tmp_path: Path) -> None:
     splat = prims["gaussians"]
     assert splat.type_name == "ParticleField3DGaussianSplat"
     for name, expected in (("positions", scene.gaussians.means), ("scales", scene.gaussians.scales)):
-        np.testing.assert_array_equal(np.asarray(splat.get_attribute(name).value).reshape(-1, 3), expected)
+        assert_array_equal(np.asarray(splat.get_attribute(name).value).reshape(-1, 3), expected)
     assert {prim_name(name, number) for number, name in enumerate(NAMES)} <= set(prims)
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
-def test_we_read_what_nvidias_converter_writes(suffix: str, tmp_path: Path) -> None:
+def test_we_read_what_nvidias_converter_writes(suffix, tmp_path):
     program = Path(sys.executable).with_name("usd-convert-gsplat")
     if not program.exists() or shutil.which("usd-convert-gsplat", path=str(program.parent)) is None:
         pytest.skip("usd-convert-gsplat is not installed")
     pytest.importorskip("pxr")
-    gaussians = random_gaussians(np.random.default_rng(3), 50, 2)
+    gaussians = random_gaussians(default_rng(3), 50, 2)
     (tmp_path / "in.ply").write_bytes(ply_bytes(ply_columns(gaussians)))
     command = [str(program), "-i", str(tmp_path / "in.ply"), "-o", str(tmp_path / f"made{suffix}")]
     subprocess.run(command, check=True, capture_output=True)
@@ -210,7 +212,7 @@ def library_stage(path: Path, halves: bool = False, degree: int = 1) -> Gaussian
     """Write three Gaussians with OpenUSD's own classes, as half-precision numbers where `halves`."""
     from pxr import Gf, Usd, UsdGeom, UsdVol, Vt
 
-    gaussians = random_gaussians(np.random.default_rng(4), 3, 3)
+    gaussians = random_gaussians(default_rng(4), 3, 3)
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, "Z")
     UsdGeom.Mesh.Define(stage, "/World/table")
@@ -239,22 +241,22 @@ def library_stage(path: Path, halves: bool = False, degree: int = 1) -> Gaussian
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])
 @pytest.mark.parametrize("halves", [False, True])
-def test_we_read_what_openusd_writes(suffix: str, halves: bool, tmp_path: Path) -> None:
+def test_we_read_what_openusd_writes(suffix, halves, tmp_path):
     pytest.importorskip("pxr")
     gaussians = library_stage(tmp_path / f"in{suffix}", halves)
     read = read_gaussians(tmp_path / f"in{suffix}")
-    np.testing.assert_allclose(read.means, gaussians.means, atol=2e-3 if halves else 0)
-    np.testing.assert_allclose(read.quats, gaussians.quats, atol=2e-3 if halves else 2e-7)
-    np.testing.assert_allclose(read.sh, gaussians.sh, atol=1e-7)
+    assert_allclose(read.means, gaussians.means, atol=2e-3 if halves else 0)
+    assert_allclose(read.quats, gaussians.quats, atol=2e-3 if halves else 2e-7)
+    assert_allclose(read.sh, gaussians.sh, atol=1e-7)
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])
-def test_harmonics_above_degree_3_are_cut(suffix: str, tmp_path: Path) -> None:
+def test_harmonics_above_degree_3_are_cut(suffix, tmp_path):
     pytest.importorskip("pxr")
     gaussians = library_stage(tmp_path / f"in{suffix}", degree=4)
     with pytest.warns(DrSplatWarning, match="degree 4 are cut to 3"):
         read = read_gaussians(tmp_path / f"in{suffix}")
-    np.testing.assert_allclose(read.sh, gaussians.sh, atol=1e-7)
+    assert_allclose(read.sh, gaussians.sh, atol=1e-7)
 
 
 SPLAT = """def ParticleField3DGaussianSplat "s" {
@@ -267,7 +269,7 @@ SPLAT = """def ParticleField3DGaussianSplat "s" {
 """
 
 
-def test_what_other_layers_have_is_stepped_over(tmp_path: Path) -> None:
+def test_what_other_layers_have_is_stepped_over(tmp_path):
     others = '''#usda 1.0
 ( """a layer's
   notes""" customLayerData = { dictionary d = { string a = "}" } } subLayers = [ @a.usda@, @@@b@c@@@ (offset = 1) ] )
@@ -287,18 +289,18 @@ def Xform "w" ( prepend references = @x.usd@</y> prepend variantSets = "v" varia
 ''' + SPLAT + "}\n"  # fmt: skip
     (tmp_path / "in.usda").write_text(others)
     read = read_gaussians(tmp_path / "in.usda")
-    np.testing.assert_array_equal(read.means, [[1, 2, 3], [4, 5, 6]])
-    np.testing.assert_array_equal(read.quats, [[1, 0, 0, 0], [0, 0, 0, 1]])
-    np.testing.assert_array_equal(read.sh[:, 0], [[0, 0, 0], [1, -1, 1]])
+    assert_array_equal(read.means, [[1, 2, 3], [4, 5, 6]])
+    assert_array_equal(read.quats, [[1, 0, 0, 0], [0, 0, 0, 1]])
+    assert_array_equal(read.sh[:, 0], [[0, 0, 0], [1, -1, 1]])
 
 
-def test_a_package_of_text_needs_no_library(tmp_path: Path) -> None:
+def test_a_package_of_text_needs_no_library(tmp_path):
     with zipfile.ZipFile(tmp_path / "in.usdz", "w") as package:
         package.writestr("a.usda", "#usda 1.0\n" + SPLAT)
     assert len(read_gaussians(tmp_path / "in.usdz")) == 2
 
 
-def test_several_splats_are_one_scene_unless_they_are_moved(tmp_path: Path) -> None:
+def test_several_splats_are_one_scene_unless_they_are_moved(tmp_path):
     both = SPLAT + SPLAT.replace('"s"', '"t"')
     (tmp_path / "in.usda").write_text("#usda 1.0\n" + both)
     assert len(read_gaussians(tmp_path / "in.usda")) == 4
@@ -331,13 +333,13 @@ def test_several_splats_are_one_scene_unless_they_are_moved(tmp_path: Path) -> N
         (('"s"', "s"), "text in quotes"),
     ],
 )
-def test_damage_is_named(change: tuple[str, str], message: str, tmp_path: Path) -> None:
+def test_damage_is_named(change, message, tmp_path):
     (tmp_path / "in.usda").write_text("#usda 1.0\n" + SPLAT.replace(*change))
     with pytest.raises(FormatError, match=message):
         read_gaussians(tmp_path / "in.usda")
 
 
-def test_a_splat_that_moves_is_named(tmp_path: Path) -> None:
+def test_a_splat_that_moves_is_named(tmp_path):
     moving = SPLAT.replace("positions = [(1, 2, 3), (4, 5, 6),]", "positions.timeSamples = { 0: [(1, 2, 3)] }")
     (tmp_path / "in.usda").write_text("#usda 1.0\n" + moving)
     with pytest.raises(FormatError, match="positions move with time"):
@@ -345,7 +347,7 @@ def test_a_splat_that_moves_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_mutants_of_text() -> None:
+def test_mutants_of_text():
     """Sound Gaussians or a precise error, with little memory."""
     originals = [("#usda 1.0\n" + SPLAT).encode()]
     rng, outcomes = seeded(7), {"read": 0, "refused": 0}
@@ -365,7 +367,7 @@ def test_mutants_of_text() -> None:
 
 
 @pytest.mark.slow
-def test_mutants_with_objects(tmp_path: Path) -> None:
+def test_mutants_with_objects(tmp_path):
     from drsplat.formats.usd import scene_of
 
     write_scene(tmp_path / "out.usda", labelled(3))
@@ -378,7 +380,7 @@ def test_mutants_with_objects(tmp_path: Path) -> None:
     assert 0 < refused < MUTANTS
 
 
-def test_mutants_of_packages(tmp_path: Path) -> None:
+def test_mutants_of_packages(tmp_path):
     path = tmp_path / "in.usdz"
     with zipfile.ZipFile(path, "w") as package:
         package.writestr("a.usda", "#usda 1.0\n" + SPLAT)
@@ -413,7 +415,7 @@ def test_mutants_of_packages(tmp_path: Path) -> None:
     ],
     ids=map(str, range(12)),
 )
-def test_hostile_text_is_refused_in_bounded_memory(text: bytes) -> None:
+def test_hostile_text_is_refused_in_bounded_memory(text):
     data = b"#usda 1.0\n" + text
     tracemalloc.start()
     with pytest.raises(FormatError):
@@ -430,7 +432,7 @@ def read_scene(data: bytes) -> None:
 
 
 @pytest.mark.slow
-def test_numbers_that_text_repeats_cost_what_the_text_costs() -> None:
+def test_numbers_that_text_repeats_cost_what_the_text_costs():
     """The shortest number is two bytes of text; four bytes each in the end, eight for a piece at a time."""
     data = b'#usda 1.0\ndef X "a" { float[] primvars:x = [' + b"1," * (8 << 20) + b"]}"
     tracemalloc.start()
@@ -457,17 +459,17 @@ assert read.object_of.tolist() == [0, 99_999, -1]
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand_objects(tmp_path: Path) -> None:
+def test_a_hundred_thousand_objects(tmp_path):
     """In a process of its own: checks of types would take most of the time."""
     subprocess.run([sys.executable, "-c", HUNDRED_THOUSAND, str(tmp_path / "out.usda")], check=True)
 
 
 @pytest.mark.slow
-def test_writing_takes_the_memory_of_a_block(tmp_path: Path) -> None:
+def test_writing_takes_the_memory_of_a_block(tmp_path):
     """Twice the Gaussians take no more than a little more memory: rows are text some thousand at a time."""
     peaks = []
     for count in (5_000, 15_000):
-        scene = LabelledScene(random_gaussians(np.random.default_rng(0), count))
+        scene = LabelledScene(random_gaussians(default_rng(0), count))
         tracemalloc.start()
         write_scene(tmp_path / "out.usda", scene, overwrite=True)
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -476,10 +478,10 @@ def test_writing_takes_the_memory_of_a_block(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_what_no_file_could_give_back_is_refused(suffix: str, tmp_path: Path) -> None:
+def test_what_no_file_could_give_back_is_refused(suffix, tmp_path):
     path = tmp_path / f"out{suffix}"
     needs_library(path)
-    gaussians = random_gaussians(np.random.default_rng(0), 3)
+    gaussians = random_gaussians(default_rng(0), 3)
     gaussians.sh[1, 0, 0] = np.nan
     with pytest.raises(InputError, match=r"the first is row 1"):
         write_scene(path, LabelledScene(gaussians))
@@ -490,7 +492,7 @@ def test_what_no_file_could_give_back_is_refused(suffix: str, tmp_path: Path) ->
     assert not path.exists()
 
 
-def test_inspect_shows_the_objects(tmp_path: Path, capsys: Capture) -> None:
+def test_inspect_shows_the_objects(tmp_path, capsys):
     write_scene(tmp_path / "out.usda", labelled())
     answer = answer_of(capsys, "inspect", tmp_path / "out.usda")
     assert answer["num_gaussians"] == 40
@@ -498,7 +500,7 @@ def test_inspect_shows_the_objects(tmp_path: Path, capsys: Capture) -> None:
     assert answer["fingerprint"] == labelled().gaussians.fingerprint
 
 
-def test_binary_without_the_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_binary_without_the_library_says_what_to_install(monkeypatch, tmp_path):
     from drsplat.errors import MissingExtraError
 
     monkeypatch.setitem(sys.modules, "pxr", None)

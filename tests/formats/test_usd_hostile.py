@@ -52,7 +52,7 @@ def written(path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".usdc", ".usdz"])
-def test_damaged_files_are_refused_or_sound(suffix: str, tmp_path: Path) -> None:
+def test_damaged_files_are_refused_or_sound(suffix, tmp_path):
     """The file that the process read last is left where it does not come to its end."""
     command = [sys.executable, "-c", READER, str(written(tmp_path / f"good{suffix}")), str(MUTANTS)]
     ended = subprocess.run(command, cwd=SUPPORT, capture_output=True, text=True)
@@ -68,7 +68,7 @@ def section(content: bytes, name: bytes) -> int:
 
 
 @pytest.mark.parametrize("name", [b"TOKENS", b"STRINGS", b"FIELDS", b"FIELDSETS", b"PATHS", b"SPECS"])
-def test_a_count_without_its_bytes_is_refused_before_the_library_sees_it(name: bytes, tmp_path: Path) -> None:
+def test_a_count_without_its_bytes_is_refused_before_the_library_sees_it(name, tmp_path):
     path = written(tmp_path / "in.usdc")
     content = bytearray(path.read_bytes())
     start = struct.unpack_from("<Q", content, section(content, name) + 16)[0]
@@ -79,7 +79,7 @@ def test_a_count_without_its_bytes_is_refused_before_the_library_sees_it(name: b
 
 
 @pytest.mark.parametrize("part", ["the table", "its count", "a section"])
-def test_sections_outside_of_the_file_are_refused(part: str, tmp_path: Path) -> None:
+def test_sections_outside_of_the_file_are_refused(part, tmp_path):
     path = written(tmp_path / "in.usdc")
     content = bytearray(path.read_bytes())
     table = struct.unpack_from("<Q", content, 16)[0]
@@ -90,7 +90,7 @@ def test_sections_outside_of_the_file_are_refused(part: str, tmp_path: Path) -> 
         read_usd(path)
 
 
-def test_a_file_that_ends_in_its_head_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_ends_in_its_head_is_refused(tmp_path):
     path = written(tmp_path / "in.usdc")
     path.write_bytes(path.read_bytes()[:20])
     with pytest.raises(FormatError, match="ends after 20 bytes"):

@@ -3,17 +3,17 @@
 import io
 import json
 import shutil
-from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from catalogued import write_scene
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import answer_of, error_of, text_of
 from drsplat.cli import main
-from drsplat.errors import DrSplatError, FormatError
+from drsplat.errors import DrSplatError
 from drsplat.field import build_field
 from drsplat.field.codes import PQ, load_codebook, save_codebook
 from drsplat.field.tiles.cutting import cut
@@ -27,6 +27,7 @@ from drsplat.scene.annotations import Annotation
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
 from moving_scenes import drifting
 from mutations import quota
+from refusing import malformed
 from scenes import random_gaussians
 
 FLIPS = quota(10)  # spread over each file, besides its beginning and its end
@@ -34,7 +35,7 @@ EDGE_BYTES = 8
 
 
 def write_field(folder: Path) -> Path:
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     field = build_field(random_evidence(rng), SCENE, TOY, PQ())
     field.with_negatives(unit_rows(rng, 2, 32), ("one", "two")).save(folder / "a.field")
     return folder / "a.field"
@@ -67,7 +68,7 @@ def write_catalogue(folder: Path) -> Path:
 def write_embedded(folder: Path) -> Path:
     record = open_record(folder / "features", {"encoder": {"name": "toy", "dim": 8, "weights": ""}})
     masks = np.repeat(np.arange(12).reshape(1, 3, 4) % 3, 4, axis=0).astype(np.int32)
-    write_features(record.folder, "photo", masks, unit_rows(np.random.default_rng(1), 3, 8), form="compact")
+    write_features(record.folder, "photo", masks, unit_rows(default_rng(1), 3, 8), form="compact")
     record.add("photo", "hash", {"large": 3}, 0, "compact")
     record.close()
     return record.folder
@@ -91,8 +92,8 @@ def positions(size: int, rng: np.random.Generator) -> list[int]:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*no thumbnails")
 @pytest.mark.parametrize("write", WRITERS)
-def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(write: Callable[[Path], Path], tmp_path: Path) -> None:
-    path, rng = write(tmp_path), np.random.default_rng(7)
+def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(write, tmp_path):
+    path, rng = write(tmp_path), default_rng(7)
     files = sorted(file for file in path.rglob("*") if file.is_file())
     code, said = verdict(path)
     assert code == 0
@@ -112,8 +113,8 @@ def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(write: Callable[[
 # --- films ---
 
 
-def test_a_film_with_a_flipped_bit_never_shows_other_frames(tmp_path: Path) -> None:
-    path, rng = write_motion(tmp_path), np.random.default_rng(3)
+def test_a_film_with_a_flipped_bit_never_shows_other_frames(tmp_path):
+    path, rng = write_motion(tmp_path), default_rng(3)
 
     def frames() -> list[bytes]:
         moving = read_moving(path)
@@ -133,7 +134,7 @@ def test_a_film_with_a_flipped_bit_never_shows_other_frames(tmp_path: Path) -> N
     assert frames() == expected
 
 
-def test_a_damaged_frame_is_refused_and_the_others_are_shown(tmp_path: Path) -> None:
+def test_a_damaged_frame_is_refused_and_the_others_are_shown(tmp_path):
     path = write_motion(tmp_path)
     means = map_tensors(path / MOTION)[0]["means"]
     content = bytearray((path / MOTION).read_bytes())
@@ -141,11 +142,11 @@ def test_a_damaged_frame_is_refused_and_the_others_are_shown(tmp_path: Path) -> 
     (path / MOTION).write_bytes(content)
     moving = read_moving(path)
     assert len(moving.at(float(moving.times[4]))) == 12
-    with pytest.raises(FormatError, match=r"means: damaged: row 2 is not what was written.*drsplat motion"):
+    with malformed(r"means: damaged: row 2 is not what was written.*drsplat motion"):
         moving.at(float(moving.times[2]))
 
 
-def test_films_of_older_versions_are_compared_as_a_whole(tmp_path: Path) -> None:
+def test_films_of_older_versions_are_compared_as_a_whole(tmp_path):
     """They have a checksum of each array and none of a frame or of scene.ply."""
     path = write_motion(tmp_path)
     tensors, metadata = map_tensors(path / MOTION)
@@ -157,33 +158,33 @@ def test_films_of_older_versions_are_compared_as_a_whole(tmp_path: Path) -> None
     content = bytearray((path / MOTION).read_bytes())
     content[content.index(arrays["means"][2].tobytes()) + 5] ^= 1
     (path / MOTION).write_bytes(content)
-    with pytest.raises(FormatError, match="'means' is not what was written"):
+    with malformed("'means' is not what was written"):
         read_moving(path)
 
 
 # --- tiles ---
 
 
-def test_colours_of_two_tiles_are_not_mixed_up(tmp_path: Path) -> None:
+def test_colours_of_two_tiles_are_not_mixed_up(tmp_path):
     path = write_tiles(tmp_path)
     one, other = path / "tile00000.colours.safetensors", path / "tile00001.colours.safetensors"
     one.rename(tmp_path / "aside")
     other.rename(one)
     (tmp_path / "aside").rename(other)
-    with pytest.raises(FormatError, match=r"tile00000\.colours.*another file than tiles\.json names"):
+    with malformed(r"tile00000\.colours.*another file than tiles\.json names"):
         read_tiles(path).gaussians()
 
 
-def test_tiles_of_another_cut_are_refused(tmp_path: Path) -> None:
+def test_tiles_of_another_cut_are_refused(tmp_path):
     path, other = write_tiles(tmp_path), write_tiles(tmp_path, seed=1)
     for file in other.glob("tile0*"):
         shutil.copy(file, path)
     tiles = read_tiles(path)
-    with pytest.raises(FormatError, match=r"tile00000\.shapes.*another file than tiles\.json names.*cut the scene"):
+    with malformed(r"tile00000\.shapes.*another file than tiles\.json names.*cut the scene"):
         tiles.shapes(tiles.tiles[0])
 
 
-def test_manifests_of_older_versions_name_no_checksums_and_are_read(tmp_path: Path) -> None:
+def test_manifests_of_older_versions_name_no_checksums_and_are_read(tmp_path):
     from drsplat.formats.checksums import sealed
 
     path = write_tiles(tmp_path)
@@ -199,7 +200,7 @@ def test_manifests_of_older_versions_name_no_checksums_and_are_read(tmp_path: Pa
 # --- what it is, and what was done ---
 
 
-def test_every_kind_says_what_it_is(tmp_path: Path, capsys: Capture) -> None:
+def test_every_kind_says_what_it_is(tmp_path, capsys):
     tiles = write_tiles(tmp_path)
     for path in (tiles, tiles / TILES):
         answer = answer_of(capsys, "inspect", path)
@@ -215,7 +216,7 @@ def test_every_kind_says_what_it_is(tmp_path: Path, capsys: Capture) -> None:
     assert "verified  " in text_of(capsys, "inspect", tiles, "--verify")
 
 
-def test_files_that_people_edit_say_what_was_read(tmp_path: Path, capsys: Capture) -> None:
+def test_files_that_people_edit_say_what_was_read(tmp_path, capsys):
     from drsplat.formats.annotations import AnnotationFile
 
     AnnotationFile.beside(tmp_path / "a.ply").add([Annotation("from Delft", np.zeros(3))])
@@ -232,8 +233,8 @@ def test_files_that_people_edit_say_what_was_read(tmp_path: Path, capsys: Captur
     assert "a.labels.json" in error_of(capsys, "inspect", tmp_path / "a.labels.json", "--verify")
 
 
-def test_a_faiss_index_is_told_by_its_content(tmp_path: Path, capsys: Capture) -> None:
+def test_a_faiss_index_is_told_by_its_content(tmp_path, capsys):
     (tmp_path / "index.bin2").write_bytes(b"IxF2" + bytes(40))
     assert "FAISS" in error_of(capsys, "inspect", tmp_path / "index.bin2")
-    with pytest.raises(FormatError, match=r"FAISS index.*read_codebook"):
+    with malformed(r"FAISS index.*read_codebook"):
         load_codebook(tmp_path / "index.bin2")

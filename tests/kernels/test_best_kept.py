@@ -13,7 +13,7 @@ from drsplat.kernels.scan import keep_best
 from twins import ranking as twin
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
-few = settings(derandomize=True, deadline=None, max_examples=60)
+few = settings(derandomize=True, max_examples=60)
 
 
 def nothing(rows: int, kept: int) -> tuple[np.ndarray, np.ndarray]:
@@ -23,7 +23,7 @@ def nothing(rows: int, kept: int) -> tuple[np.ndarray, np.ndarray]:
 @every_isa
 @few
 @given(st.integers(0, 60), st.integers(1, 20), st.integers(1, 30), st.integers(1, 9), st.integers(0, 999))
-def test_what_is_kept_is_what_sorting_keeps(isa: str, rows: int, kept: int, count: int, step: int, seed: int) -> None:
+def test_what_is_kept_is_what_sorting_keeps(isa, rows, kept, count, step, seed):
     """With many equal scores, of both zeros, in steps of any size."""
     rng = np.random.default_rng(seed)
     levels = rng.choice([-np.inf, -1.5, -0.0, 0.0, 0.25, 3e38, np.inf], (count, rows)).astype(np.float32)
@@ -38,7 +38,7 @@ def test_what_is_kept_is_what_sorting_keeps(isa: str, rows: int, kept: int, coun
 
 
 @every_isa
-def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
+def test_any_number_of_threads_gives_the_same_bits(isa):
     found = np.random.default_rng(1).standard_normal((8, 20_000)).astype(np.float32)
     one, three = nothing(20_000, 9), nothing(20_000, 9)
     keep_best(*one, found, 65_528, threads=1, isa=isa)
@@ -48,7 +48,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
     assert one[1].max() == 65_535
 
 
-def test_arrays_that_do_not_fit_are_refused() -> None:
+def test_arrays_that_do_not_fit_are_refused():
     found = np.zeros((8, 5), np.float32)
     for best, first in ((nothing(4, 3), 0), (nothing(5, 257), 0), (nothing(5, 3), 65_529)):
         with unchecked_types(), pytest.raises(InputError, match=r"found \(8, 5\)"):

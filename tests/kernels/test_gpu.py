@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from test_cuda_training import BUSY, CHAIN, fresh_run
 from test_kernels import assert_same_triples, masked
@@ -69,7 +70,7 @@ def both(scene) -> tuple[SplatArrays, SplatArrays]:
 @needs_kernels
 @pytest.mark.parametrize("count", [0, 1, 4097, 3_000_000])
 def test_sorts_and_sums_are_those_of_numpy(engine, count):
-    keys = np.random.default_rng(count).integers(0, 1 << 22, count, np.uint32)
+    keys = default_rng(count).integers(0, 1 << 22, count, np.uint32)
     pairs = sorted_pairs(engine, engine.xp.asarray(keys), None, 22)
     order = np.argsort(keys, kind="stable")
     assert_array_equal(pairs.values.get(), order)
@@ -98,7 +99,7 @@ def test_weights_are_those_of_the_twin(both, views, k):
 @pytest.mark.parametrize("channels", [3, 11])
 def test_images_are_those_of_the_twin(both, views, channels):
     (there, here), view = both, views[5]
-    values = np.random.default_rng(0).random((len(here.opacities), channels), np.float32)
+    values = default_rng(0).random((len(here.opacities), channels), np.float32)
     background = np.linspace(0, 1, channels, dtype=np.float32)
     seen = reference.contributors(here, view)
     found = render_channels(there, view, values, background)
@@ -202,7 +203,7 @@ def _release(torch) -> None:
 
 @pytest.fixture(scope="module")
 def pictures() -> list[np.ndarray]:
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     return [rng.integers(0, 256, (20 + i, 30, 3), np.uint8) for i in range(9)]
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.drawing.rendering import render
@@ -54,7 +55,7 @@ every_isa = pytest.mark.parametrize("isa", available_isas())
 
 def parameters_of(gaussians: Gaussians, seed: int = 0) -> SceneParameters:
     """Before activation: quaternions of any length, a fifth of the Gaussians nearly opaque."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     opacities = gaussians.opacities.astype(np.float64).clip(1e-3, 0.999)
     logits = np.log(opacities / (1 - opacities))
     logits[rng.random(len(logits)) < 0.2] = 6.0
@@ -96,7 +97,7 @@ def image_gradient_of(case: str) -> np.ndarray:
 
 def off_the_boundary(unsure: np.ndarray, view: View, seed: int = 0) -> np.ndarray:
     """A random image gradient, zero where float32 may decide otherwise."""
-    values = np.random.default_rng(seed).normal(size=(view.height, view.width, 3))
+    values = default_rng(seed).normal(size=(view.height, view.width, 3))
     return (values * ~unsure[..., None]).astype(np.float32)
 
 
@@ -325,7 +326,7 @@ def crowd() -> tuple[SceneParameters, View]:
 def crowd_gradients(**options) -> tuple[np.ndarray, Gradients]:
     scene, view = crowd()
     found = forward(scene, view, 2, np.float32([0.1, 0.2, 0.3]), **options)
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     gradient = rng.normal(size=(view.height, view.width, 3)).astype(np.float32)
     return np.dstack([found.image, found.alpha]), found.backward(gradient)
 
@@ -391,7 +392,7 @@ def test_finite_differences_are_those_of_autograd(case):
 @pytest.mark.parametrize("seed", range(24))
 def test_gradients_are_those_of_autograd(seed):
     """Random scenes, sizes, lenses and backgrounds; a camera somewhere in or about the scene."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     width, height = (int(n) for n in rng.integers(17, 60, 2))
     view = look_at_view(
         rng.uniform(-3, 3, 3),

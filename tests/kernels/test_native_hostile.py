@@ -11,6 +11,7 @@ import weakref
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from drsplat import _native
 from drsplat.kernels.mixture import Candidates, Dictionary, mixture_encode
@@ -27,7 +28,7 @@ def in_own_process(code: str, seconds: float = 60) -> str:
     return ended.stdout
 
 
-def test_rogue_calls_are_answered_or_refused() -> None:
+def test_rogue_calls_are_answered_or_refused():
     refused: dict[str, list[bool]] = {}
     for family, was_refused in map(refused_or_answered, range(CALLS)):
         refused.setdefault(family, []).append(was_refused)
@@ -54,7 +55,7 @@ for part in found:
 """
 
 
-def test_encoding_ends_where_every_atom_is_dropped() -> None:
+def test_encoding_ends_where_every_atom_is_dropped():
     """One atom stays, as if it had been the only candidate.
 
     Which one is not compared with the twin: in a space of four dimensions every fourth atom explains all that is left,
@@ -66,9 +67,9 @@ def test_encoding_ends_where_every_atom_is_dropped() -> None:
     assert scales[0] == pytest.approx(1 / 255, rel=1e-3)
 
 
-def test_features_of_any_length_are_encoded() -> None:
+def test_features_of_any_length_are_encoded():
     """Squares of these leave float32; nothing is promised but an end."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     atoms = rng.integers(-127, 128, (8, 4)).astype(np.int8)
     given = Candidates(np.array([0, 8]), np.arange(8, dtype=np.int32), np.empty((1, 0), np.int32))
     for length in (1e-45, 1e-20, 1e20, 3e38):
@@ -78,7 +79,7 @@ def test_features_of_any_length_are_encoded() -> None:
 
 
 def training_pass(count: int) -> _native.TrainingPass:
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     camera = np.zeros(17, np.float32)
     camera[[0, 4, 8]], camera[12:14], camera[14:] = 1, 60, (40, 30, 0.2)
     shapes = (count, 3), (count, 3), (count, 4), (count,), (count, 4, 3)
@@ -87,7 +88,7 @@ def training_pass(count: int) -> _native.TrainingPass:
     return _native.training_pass(*arrays, True, camera, 80, 60, 4, np.zeros(3, "f"), 1, "")
 
 
-def test_no_backward_pass_before_a_forward_pass() -> None:
+def test_no_backward_pass_before_a_forward_pass():
     """Its memory would be that of another pass, which was larger or smaller."""
     image = np.ones((60, 80, 3), np.float32)
     training_pass(700).forward()
@@ -102,7 +103,7 @@ def test_no_backward_pass_before_a_forward_pass() -> None:
         small.backward(image, image)
 
 
-def test_rows_of_no_numbers_are_refused_however_many() -> None:
+def test_rows_of_no_numbers_are_refused_however_many():
     """2^60 rows take no memory; their codes would, and their number leaves 64 bits."""
     features, centroids = np.empty((2**60, 0), np.float32), np.empty((16, 256, 0), np.float32)
     with pytest.raises(ValueError, match="above 0"):
@@ -124,7 +125,7 @@ assert (_native.nearest_centres(*arrays, 200, "") == expected).all()
 
 
 @pytest.mark.skipif("san" in os.environ.get("LD_PRELOAD", ""), reason="sanitizers need the room")
-def test_a_system_without_more_threads_takes_longer() -> None:
+def test_a_system_without_more_threads_takes_longer():
     """The process was ended, by threads that were not joined."""
     in_own_process(FEW_THREADS)
 
@@ -148,8 +149,8 @@ def lent(parts: tuple) -> tuple:
     return tuple(Lent(part) for part in parts)
 
 
-def test_what_a_scan_reads_is_held_until_its_end() -> None:
-    rng = np.random.default_rng(0)
+def test_what_a_scan_reads_is_held_until_its_end():
+    rng = default_rng(0)
     codes, ids = rng.integers(0, 256, (2, 8, 256), np.uint8), rng.integers(0, 9, 500, np.uint16)
     rows = codes, rng.random(500, np.float32) + 1, ids
     tables = rng.random((3, 8, 256), np.float32), rng.random((3, 9), np.float32)
@@ -159,8 +160,8 @@ def test_what_a_scan_reads_is_held_until_its_end() -> None:
     np.testing.assert_array_equal(_native.scan_scores(lent(rows), lent(tables), how), expected)
 
 
-def test_what_a_mixture_scan_reads_is_held_until_its_end() -> None:
-    rng = np.random.default_rng(0)
+def test_what_a_mixture_scan_reads_is_held_until_its_end():
+    rng = default_rng(0)
     ids, weights = (rng.integers(0, 20, (3, 4, 64), np.uint16), rng.integers(1, 256, (3, 4, 64), np.uint8))
     scales = rng.uniform(1, 2, 150).astype(np.float16).view(np.uint16)
     parts = ids, weights, scales, rng.integers(1, 100, (20, 6), np.int8), np.ones(20, np.float32)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from drsplat import _native
@@ -18,7 +19,7 @@ SEEN[[0, 4, 8]], SEEN[12:14], SEEN[14:] = 1, 50, (30, 22, 0.2)
 
 
 def floats(*shape: int) -> np.ndarray:
-    return np.random.default_rng(shape).standard_normal(shape).astype(np.float32)
+    return default_rng(shape).standard_normal(shape).astype(np.float32)
 
 
 def splats() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -46,7 +47,7 @@ def trained() -> list[np.ndarray]:
 
 def photographed() -> list[np.ndarray]:
     """All that becomes of a photo."""
-    image = np.random.default_rng(0).integers(0, 256, (40, 50, 3), np.uint8)
+    image = default_rng(0).integers(0, 256, (40, 50, 3), np.uint8)
     lab = _native.lab_colors(image, INSIDE, "")
     labels = _native.small_regions(lab, 4.0, 9).reshape(40, 50)
     sizes = [(108, 8), (72, 8), (72, 8), (72, 8), (72, 8), (144, 8), (72, 8), (8, 36)]
@@ -67,7 +68,7 @@ def kept(found: np.ndarray, threads: int, isa: str) -> tuple[np.ndarray, np.ndar
 
 
 def calls() -> list[Callable[[], object]]:
-    given, rng, how = (*splats(), True), np.random.default_rng(0), (INSIDE, "")
+    given, rng, how = (*splats(), True), default_rng(0), (INSIDE, "")
     segments = rng.integers(-1, 9, (HEIGHT, WIDTH)).astype(np.int32)
     rows = rng.integers(0, 256, (4, 16, 256)).astype("u1"), np.ones(900, "f"), None
     tables, error = (floats(3, 16, 256), None), (1e-4, 0, *how)
@@ -107,12 +108,12 @@ def calls() -> list[Callable[[], object]]:
     ]
 
 
-def test_python_threads_at_once_change_no_bit() -> None:
+def test_python_threads_at_once_change_no_bit():
     every = calls()
     expected = [[np.array(part) for part in call()] for call in every]
 
     def work(seed: int) -> None:
-        order = np.random.default_rng(seed)
+        order = default_rng(seed)
         for place in np.concatenate([order.permutation(len(every)) for _ in range(ROUNDS)]):
             for part, wanted in zip(every[place](), expected[place], strict=True):
                 assert_array_equal(np.asarray(part), wanted)
@@ -121,7 +122,7 @@ def test_python_threads_at_once_change_no_bit() -> None:
         list(pool.map(work, range(PYTHON_THREADS)))
 
 
-def test_one_pass_that_threads_share_is_gone_through_once() -> None:
+def test_one_pass_that_threads_share_is_gone_through_once():
     arrays = [floats(500, 3), floats(500, 3) - 3, floats(500, 4), floats(500), floats(500, 4, 3)]
     arrays[0][:, 2] += 4
     view = _native.training_pass(*arrays, False, SEEN, WIDTH, HEIGHT, 4, np.zeros(3, "f"), INSIDE, "")

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import InputError
@@ -20,7 +21,7 @@ oracle = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="t
 
 def two_images(height: int, width: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """A smooth picture and a noisy copy; some pixels are equal, some beyond [0, 1]."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rows, columns = np.mgrid[:height, :width]
     waves = np.stack([np.sin(rows / 5 + c) * np.cos(columns / (3 + c)) for c in range(3)], axis=-1)
     target = 0.5 + 0.45 * waves
@@ -112,7 +113,7 @@ def test_images_of_two_sizes_are_refused():
 
 def gradients(steps: int, shape: tuple[int, ...]) -> np.ndarray:
     """Of sizes from 1e-8 to 1e2; some entries never have one."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     sizes = 10.0 ** rng.uniform(-8, 2, shape) * (rng.random(shape) < 0.9)
     return (rng.normal(size=(steps, *shape)) * sizes).astype(np.float32)
 
@@ -126,7 +127,7 @@ def taken(step, state: list[np.ndarray], grads: np.ndarray, rate: float, **optio
 @every_isa
 @pytest.mark.parametrize("shape", [(7,), (100, 3), (33, 16, 3)])
 def test_fifty_steps_are_those_of_the_twin(shape, isa):
-    start = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    start = default_rng(1).normal(size=shape).astype(np.float32)
     grads, rate = gradients(50, shape), 1e-2
     native = [start.copy(), np.zeros_like(start), np.zeros_like(start)]
     twin = [column.astype(np.float64) for column in native]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from scipy.special import factorial, lpmv
@@ -22,7 +23,7 @@ from twins.projection import BLUR, dimming, project
 
 FOCAL, WIDTH, HEIGHT = 32.0, 48, 32
 AXIS_PIXEL = (16, 24)  # row, column whose centre is the principal point
-laws = settings(derandomize=True, deadline=None, max_examples=15)
+laws = settings(derandomize=True, max_examples=15)
 
 
 def on_axis_view() -> View:
@@ -85,7 +86,7 @@ def test_an_antialiased_gaussian_is_dimmed_as_it_is_widened(sigma):
 @given(st.integers(0, 10**6), st.floats(1.01, 100))
 def test_splats_are_dimmed_by_their_widths_and_less_the_larger_they_are(seed, factor):
     """Of an ellipse of half axes a and b: a b / sqrt((a^2 + 0.3) (b^2 + 0.3)), however it lies."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     axes = rng.normal(size=(2, 2)) * 10 ** rng.uniform(-2, 2)
 
     def dimmed(axes: np.ndarray) -> float:
@@ -333,7 +334,7 @@ def test_sh_degree_0_and_1():
 
 def test_sh_basis_is_that_of_associated_legendre_functions():
     """sqrt(2) Re Y_l^m for m > 0 and sqrt(2) Im Y_l^|m| for m < 0, Condon-Shortley phase kept."""
-    directions = np.random.default_rng(0).normal(size=(50, 3))
+    directions = default_rng(0).normal(size=(50, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     columns = []
@@ -379,7 +380,7 @@ seeds = st.integers(0, 2**32 - 1)
 @laws
 @given(seeds)
 def test_moving_scene_and_camera_together_changes_nothing(seed):
-    scene, rng = exact_scene(seed), np.random.default_rng(seed)
+    scene, rng = exact_scene(seed), default_rng(seed)
     rotation, shift = Rotation.from_quat(rng.normal(size=4)).as_matrix(), rng.uniform(-5, 5, (3, 1))
     covariances = scene.covariances.T[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
     turned = (rotation @ covariances @ rotation.T)[:, *np.triu_indices(3)].T
@@ -403,7 +404,7 @@ def test_the_unit_of_length_changes_nothing(seed, unit):
 @given(seeds)
 def test_the_order_of_gaussians_changes_only_ids(seed):
     scene = exact_scene(seed)
-    order = np.random.default_rng(seed).permutation(len(scene.opacities))
+    order = default_rng(seed).permutation(len(scene.opacities))
     shuffled = ExactSplats(*(column[..., order] for column in scene[:3]))
     assert_array_equal(weight_images(shuffled, VIEW), weight_images(scene, VIEW)[order])
 

@@ -4,11 +4,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.errors import InputError
 from drsplat.kernels import (
     GroupedRows,
     QueryTables,
@@ -22,6 +22,7 @@ from drsplat.kernels import (
     scan_scores,
     scan_top,
 )
+from refusing import refused
 from twins import scan as reference_scan
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
@@ -31,7 +32,7 @@ HYBRID = Scanning(error=2e-3, wide=16)
 
 def drawn(seed: int, count: int, subvectors: int, queries: int = 1, coarse: int = 0) -> tuple[GroupedRows, QueryTables]:
     """Rows and tables of cosines: a table's range falls with the number of sub-vectors."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     codes = rng.integers(0, 256, (count, subvectors), np.uint8)
     norms = rng.uniform(0.5, 1.0, count).astype(np.float32)
     luts = rng.normal(size=(queries, subvectors, 256)) / max(subvectors, 4)
@@ -41,7 +42,7 @@ def drawn(seed: int, count: int, subvectors: int, queries: int = 1, coarse: int 
     return (GroupedRows(group_codes(codes), norms, ids), QueryTables(luts.astype(np.float32), terms))
 
 
-def test_groups_hold_the_rows_and_zeros_after_them() -> None:
+def test_groups_hold_the_rows_and_zeros_after_them():
     codes = np.arange(300 * 3, dtype=np.uint32).astype(np.uint8).reshape(300, 3) + np.uint8(1)
     grouped = group_codes(codes)
     assert grouped.shape == (2, 3, 256)
@@ -53,9 +54,9 @@ def test_groups_hold_the_rows_and_zeros_after_them() -> None:
 
 
 @every_isa
-def test_a_closed_form(isa: str) -> None:
+def test_a_closed_form(isa):
     """lut[m, c] = c + 1000 m: a sum is that of the bytes, plus a constant."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     codes = rng.integers(0, 256, (777, 5), np.uint8)
     lut = (np.arange(256) + 1000.0 * np.arange(5)[:, None]).astype(np.float32)
     rows = GroupedRows(group_codes(codes), np.full(777, 0.5, np.float32))
@@ -67,7 +68,7 @@ def test_a_closed_form(isa: str) -> None:
 @every_isa
 @pytest.mark.parametrize("subvectors", [1, 3, 8, 32, 33, 64, 128, 256, 257, 300])
 @pytest.mark.parametrize("queries", [1, 5, 20])
-def test_scores_are_those_of_the_twin(isa: str, subvectors: int, queries: int) -> None:
+def test_scores_are_those_of_the_twin(isa, subvectors, queries):
     rows, tables = drawn(subvectors, 700, subvectors, queries, coarse=queries)
     exact = reference_scan.scan_scores(rows, tables)
     assert_allclose(scan_scores(rows, tables, Scanning(isa=isa)), exact, rtol=0, atol=1e-4)
@@ -78,7 +79,7 @@ def test_scores_are_those_of_the_twin(isa: str, subvectors: int, queries: int) -
 @pytest.mark.skipif(len(FUSED) < 2, reason="this machine has at most one of them")
 @pytest.mark.parametrize("how", [Scanning(), HYBRID])
 @pytest.mark.parametrize(("subvectors", "queries"), [(7, 1), (128, 3), (128, 20), (300, 5)])
-def test_instruction_sets_agree_to_the_bit(how: Scanning, subvectors: int, queries: int) -> None:
+def test_instruction_sets_agree_to_the_bit(how, subvectors, queries):
     """Bytes by shuffles, and whole numbers by loads: sums of steps are exact, whichever way they are added up."""
     rows, tables = drawn(subvectors, 1000, subvectors, queries, coarse=queries)
     tables.luts[:, 3] *= 50
@@ -93,7 +94,7 @@ def test_instruction_sets_agree_to_the_bit(how: Scanning, subvectors: int, queri
 
 @every_isa
 @pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 512, 513, 1000])
-def test_any_number_of_rows(isa: str, count: int) -> None:
+def test_any_number_of_rows(isa, count):
     rows, tables = drawn(1, count, 7, 3)
     exact, how = reference_scan.scan_scores(rows, tables), Scanning(isa=isa)
     scores = scan_scores(rows, tables, how)
@@ -113,7 +114,7 @@ def test_any_number_of_rows(isa: str, count: int) -> None:
 
 @every_isa
 @pytest.mark.parametrize("coarse", [0, 5])
-def test_the_best_of_many_queries_is_that_of_their_scores(isa: str, coarse: int) -> None:
+def test_the_best_of_many_queries_is_that_of_their_scores(isa, coarse):
     """Of more queries than are summed together, and rows that do not fill a register; of equal scores the first."""
     rows, tables = drawn(5, 523, 8, 40, coarse)
     for part in tables:
@@ -126,7 +127,7 @@ def test_the_best_of_many_queries_is_that_of_their_scores(isa: str, coarse: int)
 
 
 @every_isa
-def test_bytes_after_the_last_row_are_never_reported(isa: str) -> None:
+def test_bytes_after_the_last_row_are_never_reported(isa):
     rows, tables = drawn(2, 300, 4)
     dirty = rows.codes.copy()
     dirty[1, :, 44:] = np.arange(256, dtype=np.uint8)[44:]
@@ -139,7 +140,7 @@ def test_bytes_after_the_last_row_are_never_reported(isa: str) -> None:
 
 @every_isa
 @pytest.mark.parametrize("wide", [0, 16])
-def test_one_outlier_does_not_coarsen_the_others(isa: str, wide: int) -> None:
+def test_one_outlier_does_not_coarsen_the_others(isa, wide):
     """As CLIP's: one sub-vector spans a hundred times the range of the rest."""
     rows, tables = drawn(3, 2000, 128)
     tables.luts[0, 17] *= 100
@@ -150,7 +151,7 @@ def test_one_outlier_does_not_coarsen_the_others(isa: str, wide: int) -> None:
 
 
 @every_isa
-def test_hostile_tables_give_no_harm(isa: str) -> None:
+def test_hostile_tables_give_no_harm(isa):
     """Ranges of nothing, and far beyond any cosine: as right as float32 is."""
     rows, tables = drawn(4, 300, 9)
     for scale in (0.0, 1e-30, 1e6, 1e30):
@@ -165,7 +166,7 @@ def test_hostile_tables_give_no_harm(isa: str) -> None:
 
 
 @every_isa
-def test_rows_without_a_norm_score_zero(isa: str) -> None:
+def test_rows_without_a_norm_score_zero(isa):
     rows, tables = drawn(5, 400, 8, 3, coarse=2)
     norms = rows.inverse_norms.copy()
     norms[[0, 17, 399]] = 0
@@ -179,7 +180,7 @@ def test_rows_without_a_norm_score_zero(isa: str) -> None:
 
 @every_isa
 @pytest.mark.parametrize("queries", [1, 2, 7, 8, 16, 17, 40])
-def test_a_query_scores_the_same_alone_and_among_others(isa: str, queries: int) -> None:
+def test_a_query_scores_the_same_alone_and_among_others(isa, queries):
     rows, tables = drawn(6, 600, 35, queries)
     together = scan_scores(rows, tables, Scanning(isa=isa))
     for query in range(queries):
@@ -188,7 +189,7 @@ def test_a_query_scores_the_same_alone_and_among_others(isa: str, queries: int) 
 
 
 @every_isa
-def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
+def test_any_number_of_threads_gives_the_same_bits(isa):
     rows, tables = drawn(7, 70_001, 12, 20, coarse=3)
     one = QueryTables(tables.luts[:1], tables.coarse[:1] if tables.coarse is not None else None)
     floor = np.linspace(-0.5, 0.5, 70_001).astype(np.float32)
@@ -210,7 +211,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
 
 
 @every_isa
-def test_several_python_threads_at_once(isa: str) -> None:
+def test_several_python_threads_at_once(isa):
     asked = [drawn(seed, 3000, 16, 3) for seed in range(8)]
     alone = [scan_scores(*each, Scanning(isa=isa)) for each in asked]
     with ThreadPoolExecutor(8) as pool:
@@ -221,7 +222,7 @@ def test_several_python_threads_at_once(isa: str) -> None:
 
 
 @every_isa
-def test_ties_go_to_the_first(isa: str) -> None:
+def test_ties_go_to_the_first(isa):
     rows, tables = drawn(8, 2000, 3)
     few = rows._replace(codes=rows.codes % 2, inverse_norms=np.ones(2000, np.float32))
     how = Scanning(isa=isa)
@@ -236,8 +237,7 @@ def test_ties_go_to_the_first(isa: str) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 600), st.integers(1, 20))
-@settings(deadline=None, max_examples=30)
-def test_laws(seed: int, subvectors: int, count: int, queries: int) -> None:
+def test_laws(seed, subvectors, count, queries):
     """Of any drawn case and any instruction set: near the twin, and all answers of one mind."""
     rows, tables = drawn(seed, count, subvectors, queries, coarse=seed % 2 * 3)
     exact = reference_scan.scan_scores(rows, tables)
@@ -257,8 +257,8 @@ def test_laws(seed: int, subvectors: int, count: int, queries: int) -> None:
 
 @every_isa
 @pytest.mark.parametrize(("subvectors", "dim"), [(1, 512), (4, 1), (128, 4), (16, 3)])
-def test_tables_are_inner_products(isa: str, subvectors: int, dim: int) -> None:
-    rng = np.random.default_rng(9)
+def test_tables_are_inner_products(isa, subvectors, dim):
+    rng = default_rng(9)
     centroids = rng.normal(size=(subvectors, dim, 256)).astype(np.float32)
     queries = rng.normal(size=(5, subvectors * dim)).astype(np.float32)
     found = lookup_tables(centroids, queries, isa=isa, threads=2)
@@ -266,11 +266,9 @@ def test_tables_are_inner_products(isa: str, subvectors: int, dim: int) -> None:
     assert_array_equal(found, lookup_tables(centroids, queries, isa=isa, threads=1))
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_what_does_not_fit_is_refused():
     rows, tables = drawn(10, 300, 4, 2, coarse=3)
     ids, coarse = rows.coarse_ids, tables.coarse
-    assert ids is not None
-    assert coarse is not None
     bad: list[tuple[GroupedRows, QueryTables, str]] = [
         (rows._replace(codes=rows.codes[:1]), tables, r"expected codes \(2, L, 256\)"),
         (rows._replace(codes=rows.codes[:, :0]), tables, "expected codes"),
@@ -283,20 +281,20 @@ def test_what_does_not_fit_is_refused() -> None:
         (rows._replace(coarse_ids=np.full(300, 65535, np.uint16)), tables, "coarse id 65535 of 3"),
     ]
     for some_rows, some_tables, message in bad:
-        with pytest.raises(InputError, match=message):
+        with refused(message):
             scan_best(some_rows, some_tables)
-    with pytest.raises(InputError, match="one query"):
+    with refused("one query"):
         scan_top(rows, tables, 1)
     one = QueryTables(tables.luts[:1], coarse[:1])
-    with pytest.raises(InputError, match="one query"):
+    with refused("one query"):
         scan_above(rows, tables, 0.0)
-    with pytest.raises(InputError, match="count of 1 or more"):
+    with refused("count of 1 or more"):
         scan_top(rows, one, 0)
-    with pytest.raises(InputError, match="a floor per row"):
+    with refused("a floor per row"):
         scan_above(rows, one, 0.0, np.zeros(3, np.float32))
-    with pytest.raises(InputError, match="an error above 0"):
+    with refused("an error above 0"):
         scan_scores(rows, one, Scanning(error=0.0))
-    with pytest.raises(InputError, match="z80"):
+    with refused("z80"):
         scan_scores(rows, one, Scanning(isa="z80"))
-    with pytest.raises(InputError, match="do not fit centroids"):
+    with refused("do not fit centroids"):
         lookup_tables(np.zeros((2, 3, 256), np.float32), np.zeros((1, 5), np.float32))

@@ -13,12 +13,12 @@ from drsplat.photos.capture.posing import (
 )
 
 
-def test_few_photos_are_all_matched() -> None:
+def test_few_photos_are_all_matched():
     assert all_pairs(4) == {(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)}
     assert len(all_pairs(150)) == 11_175
 
 
-def test_photos_in_order_are_matched_with_the_next_ones_and_rarer_ones_far_away() -> None:
+def test_photos_in_order_are_matched_with_the_next_ones_and_rarer_ones_far_away():
     pairs = pairs_in_order(1000)
     assert {(0, step) for step in (1, NEIGHBOURS_IN_ORDER, 24, 48, 768)} <= pairs
     assert (0, 500) not in pairs
@@ -26,7 +26,7 @@ def test_photos_in_order_are_matched_with_the_next_ones_and_rarer_ones_far_away(
     assert pairs_in_order(2) == {(0, 1)}
 
 
-def test_photos_in_place_are_matched_with_the_nearest() -> None:
+def test_photos_in_place_are_matched_with_the_nearest():
     positions = np.full((201, 3), np.nan)
     positions[:200] = np.arange(200)[:, None] * [1.0, 0, 0]
     pairs = pairs_in_place(positions)
@@ -36,7 +36,7 @@ def test_photos_in_place_are_matched_with_the_nearest() -> None:
     assert pairs_in_place(np.full((5, 3), np.nan)) == set()
 
 
-def test_photos_that_look_alike_are_matched() -> None:
+def test_photos_that_look_alike_are_matched():
     """Three places, each with its own descriptors, of which each photo shows a part: pairs stay within places."""
     rng = np.random.default_rng(0)
     places = rng.normal(size=(3, 400, 128)).astype(np.float32)
@@ -53,7 +53,7 @@ def test_photos_that_look_alike_are_matched() -> None:
     assert len(pairs) <= 90 * 10
 
 
-def test_a_photo_without_features_looks_like_nothing() -> None:
+def test_a_photo_without_features_looks_like_nothing():
     empty = np.empty((0, 128), np.float32)
     some = np.eye(128, dtype=np.float32)
     looks = looks_of(["0", "1", "2"], lambda key: empty if key == "1" else some)

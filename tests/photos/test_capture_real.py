@@ -21,7 +21,7 @@ pytestmark = [
 ]
 
 
-def test_part_of_the_plush_capture_without_its_poses(tmp_path: Path) -> None:
+def test_part_of_the_plush_capture_without_its_poses(tmp_path):
     """Every fourth photo. One overlaps so little that global mapping poses it 50 degrees off, on a single point."""
     photos = tmp_path / "photos"
     photos.mkdir()
@@ -38,7 +38,7 @@ def test_part_of_the_plush_capture_without_its_poses(tmp_path: Path) -> None:
     assert turned < 2
 
 
-def test_drone_photos_are_placed_by_their_exif_alone(tmp_path: Path) -> None:
+def test_drone_photos_are_placed_by_their_exif_alone(tmp_path):
     record = capture(DATA / "brighton_beach/images", tmp_path / "capture")
     assert (record["num_registered"], record["unit"], record["up_from"]) == (18, "m", "GPS")
     assert record["gps_residual_m"] < 0.6
@@ -49,8 +49,6 @@ def test_drone_photos_are_placed_by_their_exif_alone(tmp_path: Path) -> None:
     assert turned < 1
     assert tilt < 3
     ours, theirs = (read_georeference(folder) for folder in (tmp_path / "capture", DATA / "brighton_beach"))
-    assert ours is not None
-    assert theirs is not None
     here, there = (np.array([view.center for view in each]) for each in (posed, [given[v.name] for v in posed]))
     origin = (theirs.longitude, theirs.latitude, theirs.height)
     apart = local_offsets(origin, ours.positions(here)) - local_offsets(origin, theirs.positions(there))

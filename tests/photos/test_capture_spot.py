@@ -5,10 +5,10 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from drsplat.errors import DrSplatWarning, InputError
 from drsplat.photos.capture.capturing import capture
@@ -56,7 +56,7 @@ def pairs_of(
     guesses: Sequence[float] | None = None, wrong: float = 0.05,
 ) -> list[Matches]:  # fmt: skip
     """Matches of all pairs of photos that overlap, some of them wrong."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     all_focals = np.broadcast_to(focals, len(cameras))
     guessed = np.full(len(cameras), GUESS) if guesses is None else np.asarray(guesses)
     photos = [seen(points, camera, f, k1, rng) for camera, f in zip(cameras, all_focals, strict=True)]
@@ -73,13 +73,13 @@ def pairs_of(
 
 def scene(seed: int = 0) -> np.ndarray:
     """Points of all depths, in front of cameras near the origin that look along +z."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     depths = rng.uniform(2, 6, (6000, 1))
     return np.hstack([rng.uniform(-2, 2, (6000, 2)), np.ones((6000, 1))]) * depths
 
 
 def wall(seed: int = 0) -> np.ndarray:
-    return np.hstack([np.random.default_rng(seed).uniform(-6, 6, (20000, 2)), np.full((20000, 1), 2.0)])
+    return np.hstack([default_rng(seed).uniform(-6, 6, (20000, 2)), np.full((20000, 1), 2.0)])
 
 
 TURNS = [turned(yaw, pitch) for yaw in (-16, -8, 0, 8, 16) for pitch in (-5, 5)]
@@ -91,25 +91,25 @@ def spot(place: Sequence[float] = (0, 0, 0)) -> list[Camera]:
 
 def along(tilt: float = 0.0, near: float = 0.0) -> list[Camera]:
     """Cameras along a wall, each tilted and nearer or farther than the one before."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     places = [(x, rng.normal(0, 0.1), rng.normal(0, near)) for x in np.linspace(-1, 1, 10)]
     return [(turned(*rng.normal(0, tilt, 3)), np.array(place)) for place in places]
 
 
 @pytest.mark.parametrize("focal", [0.6, 0.75, 1.1, 1.5])
 @pytest.mark.parametrize("k1", [-0.15, 0.0, 0.1])
-def test_rotations_explain_a_camera_that_turns_whatever_its_lens(focal: float, k1: float) -> None:
+def test_rotations_explain_a_camera_that_turns_whatever_its_lens(focal, k1):
     assert turning(pairs_of(spot(), scene(), focal, k1), False) == (1.0, True)
 
 
-def test_a_long_lens_that_turns_is_not_told_from_one_that_is_shifted() -> None:
+def test_a_long_lens_that_turns_is_not_told_from_one_that_is_shifted():
     cameras = [(turned(yaw, pitch), np.zeros(3)) for yaw in (-3, 0, 3) for pitch in (-2, 2)]
     assert turning(pairs_of(cameras, scene() * [0.2, 0.2, 1], 3.0), False) == (1.0, False)
 
 
-def test_a_fisheye_that_turns_is_doubtful_at_least() -> None:
+def test_a_fisheye_that_turns_is_doubtful_at_least():
     """Pixels from the middle are focal lengths times the angle, as COLMAP's lens without distortion."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     directions = rng.normal(size=(20000, 3))
     photos = []
     for rotation, _ in spot():
@@ -124,26 +124,26 @@ def test_a_fisheye_that_turns_is_doubtful_at_least() -> None:
     assert share > DOUBTFUL_SHARE
 
 
-def test_a_panorama_all_around_is_a_turn() -> None:
-    points = np.random.default_rng(0).normal(size=(20000, 3)) * np.random.default_rng(1).uniform(1, 9, (20000, 1))
+def test_a_panorama_all_around_is_a_turn():
+    points = default_rng(0).normal(size=(20000, 3)) * default_rng(1).uniform(1, 9, (20000, 1))
     cameras = [(turned(yaw, 5 * (-1) ** k), np.zeros(3)) for k, yaw in enumerate(range(0, 360, 18))]
     assert turning(pairs_of(cameras, points, 0.7), False) == (1.0, True)
 
 
-def test_two_cameras_of_known_focal_lengths_turn_together() -> None:
+def test_two_cameras_of_known_focal_lengths_turn_together():
     focals = [(0.6, 1.1)[k % 2] for k in range(len(TURNS))]
     assert turning(pairs_of(spot(), scene(), focals, guesses=focals), True) == (1.0, True)
     assert turning(pairs_of(spot(), scene(), focals), False)[0] < DOUBTFUL_SHARE
 
 
 @pytest.mark.parametrize("focal", [0.5, 0.75, 1.1, 1.75])
-def test_no_rotations_of_one_lens_explain_a_wall_along_which_the_camera_moves(focal: float) -> None:
+def test_no_rotations_of_one_lens_explain_a_wall_along_which_the_camera_moves(focal):
     """Each of these pairs is explained by a homography."""
     assert turning(pairs_of(along(tilt=6, near=0.1), wall(), focal), False)[0] < 0.3
 
 
 @pytest.mark.parametrize("k1", [0.0, -0.1])
-def test_a_move_straight_along_a_wall_is_no_turn_but_may_look_like_one_of_a_long_lens(k1: float) -> None:
+def test_a_move_straight_along_a_wall_is_no_turn_but_may_look_like_one_of_a_long_lens(k1):
     share, is_turn = turning(pairs_of(along(), wall(), 0.75, k1), False)
     assert not is_turn
     assert share > TURNING_SHARE or k1
@@ -151,18 +151,18 @@ def test_a_move_straight_along_a_wall_is_no_turn_but_may_look_like_one_of_a_long
     assert turning(known, True)[0] < 0.3
 
 
-def test_a_camera_that_moves_in_a_scene_with_depth_is_explained_by_no_rotation() -> None:
+def test_a_camera_that_moves_in_a_scene_with_depth_is_explained_by_no_rotation():
     assert turning(pairs_of(along(tilt=6, near=0.1), scene(), 0.75), False)[0] == 0
 
 
 @pytest.mark.parametrize("elsewhere", [along(tilt=3), spot((0.5, 0.1, 0))], ids=["walk", "another spot"])
-def test_half_of_the_photos_may_be_from_one_spot(elsewhere: list[Camera]) -> None:
+def test_half_of_the_photos_may_be_from_one_spot(elsewhere):
     assert turning(pairs_of([*spot(), *elsewhere], scene(), 0.75)[::3], False)[0] < DOUBTFUL_SHARE
 
 
-def test_what_stands_still_in_the_picture_says_nothing() -> None:
+def test_what_stands_still_in_the_picture_says_nothing():
     """A camera that never moved, and what a robot holds before its camera while it moves."""
-    held = np.random.default_rng(3).uniform(-0.3, 0.3, (2, 500, 2)) * [[[1, 0.2]]]
+    held = default_rng(3).uniform(-0.3, 0.3, (2, 500, 2)) * [[[1, 0.2]]]
     held[1] = held[0] + 0.001
     focals = np.full((2, 1, 1), GUESS)
     assert turning([(held, focals)] * 10, False) == (0.0, False)
@@ -171,17 +171,17 @@ def test_what_stands_still_in_the_picture_says_nothing() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 2])
-def test_too_few_pairs_say_nothing(count: int) -> None:
+def test_too_few_pairs_say_nothing(count):
     assert turning(pairs_of(spot(), scene(), 0.75)[:count], False) == (0.0, False)
 
 
 @pytest.mark.parametrize("bend", [-0.4, -0.1, 0.0, 0.2])
-def test_places_are_the_inverse_of_rays(bend: float) -> None:
-    places, focal = np.random.default_rng(0).uniform(-0.5, 0.5, (1, 50, 2)), np.full((1, 1, 1), 0.7)
+def test_places_are_the_inverse_of_rays(bend):
+    places, focal = default_rng(0).uniform(-0.5, 0.5, (1, 50, 2)), np.full((1, 1, 1), 0.7)
     assert _places(_rays(places, focal, bend), focal, bend) == pytest.approx(places, abs=1e-12)
 
 
-def test_a_turn_is_an_error_a_doubtful_one_a_warning_and_a_walk_neither() -> None:
+def test_a_turn_is_an_error_a_doubtful_one_a_warning_and_a_walk_neither():
     still, walked = (pairs_of(cameras, scene(), 0.75) for cameras in (spot(), along(tilt=6)))
     with pytest.raises(InputError, match=r"rotations alone explain 100% of the pairs .* on the spot.* Walk round"):
         check_moved(still, False)
@@ -192,7 +192,7 @@ def test_a_turn_is_an_error_a_doubtful_one_a_warning_and_a_walk_neither() -> Non
     check_moved(walked, False)
 
 
-def test_pixels_of_matches_are_read_in_the_order_of_the_pair(tmp_path: Path) -> None:
+def test_pixels_of_matches_are_read_in_the_order_of_the_pair(tmp_path):
     keypoints = np.arange(36, dtype=np.float32).reshape(2, 3, 6)
     with sqlite3.connect(tmp_path / "a.db") as database:
         database.execute("CREATE TABLE images (image_id INTEGER, name TEXT)")
@@ -214,9 +214,7 @@ def test_pixels_of_matches_are_read_in_the_order_of_the_pair(tmp_path: Path) -> 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("pycolmap") is None, reason='needs pip install "drsplat[capture]"')
 @pytest.mark.parametrize("with_exif", [False, True])
-def test_photos_of_a_camera_that_turns_are_refused_and_those_of_one_that_walks_are_posed(
-    with_exif: bool, tmp_path: Path
-) -> None:
+def test_photos_of_a_camera_that_turns_are_refused_and_those_of_one_that_walks_are_posed(with_exif, tmp_path):
     eye = np.array([2.1, 1.6, 1.5])
     angles = np.linspace(0.2, 1.4, 10)
     looks = [eye + np.array([-np.cos(a), -np.sin(a), -0.25 + 0.15 * (-1) ** k]) for k, a in enumerate(angles)]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from PIL import Image
 
@@ -20,7 +21,7 @@ from drsplat.scene.masks.masks import Masks, cut_masks
 from tiny_encoders import PATCH, SIDE, write_model
 
 ALONG = SIDE // PATCH
-PHOTO = np.random.default_rng(0).integers(0, 256, (24, 40, 3), np.uint8)
+PHOTO = default_rng(0).integers(0, 256, (24, 40, 3), np.uint8)
 TEXTS = ["a red mug", "the table", "mug"]
 
 
@@ -28,7 +29,7 @@ def some_masks(height: int = 24, width: int = 40, seed: int = 1) -> Masks:
     """All of the image, a part of it, a single pixel, and any pixels."""
     full = np.zeros((4, height, width), bool)
     full[0], full[1, 3:11, 5:19], full[2, height - 1, width - 1] = True, True, True
-    full[3] = np.random.default_rng(seed).random((height, width)) < 0.3
+    full[3] = default_rng(seed).random((height, width)) < 0.3
     return cut_masks(full, np.ones(4, np.float32))
 
 
@@ -73,7 +74,7 @@ def unit(rows: np.ndarray) -> np.ndarray:
     return rows / np.linalg.norm(rows, axis=-1, keepdims=True)
 
 
-def test_masks_are_means_of_the_patches_that_they_cover(folder: Path) -> None:
+def test_masks_are_means_of_the_patches_that_they_cover(folder):
     masks, patches = some_masks(), patches_by_hand(folder, PHOTO)
     rows = tiny(folder).encode_masks(PHOTO, masks)
     expected = [np.einsum("rc,rcd->d", shares_by_hand(masks.full(row)), patches) for row in range(len(masks))]
@@ -82,12 +83,12 @@ def test_masks_are_means_of_the_patches_that_they_cover(folder: Path) -> None:
     assert np.abs(rows[1] - rows[2]).max() > 1e-3  # other places, other rows
 
 
-def test_an_image_is_the_mask_of_all_of_it(folder: Path) -> None:
+def test_an_image_is_the_mask_of_all_of_it(folder):
     encoder = tiny(folder)
     assert_allclose(encoder.encode_images([PHOTO])[0], encoder.encode_masks(PHOTO, some_masks())[0], atol=2e-6)
 
 
-def test_one_look_at_the_photo_and_no_crops(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_look_at_the_photo_and_no_crops(folder, monkeypatch):
     encoder, looks = tiny(folder), []
     inner = encoder._patch_rows
     monkeypatch.setattr(encoder, "_patch_rows", lambda values: looks.append(len(values)) or inner(values))
@@ -98,7 +99,7 @@ def test_one_look_at_the_photo_and_no_crops(folder: Path, monkeypatch: pytest.Mo
     assert encoder.encode_masks(PHOTO, masks.subset([])).shape == (0, encoder.identity.dim)
 
 
-def test_other_encoders_get_crops(tmp_path: Path) -> None:
+def test_other_encoders_get_crops(tmp_path):
     pytest.importorskip("transformers", reason="needs transformers")
     encoder, masks = tiny(write_model(tmp_path / "clip", "clip")), some_masks()
     assert not isinstance(encoder, MaskEncoder)
@@ -106,7 +107,7 @@ def test_other_encoders_get_crops(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_texts_are_those_of_the_model_called_by_hand(folder: Path) -> None:
+def test_texts_are_those_of_the_model_called_by_hand(folder):
     """One by one without padding; in a batch the shorter ones are padded and masked."""
     import torch
     import transformers
@@ -118,12 +119,12 @@ def test_texts_are_those_of_the_model_called_by_hand(folder: Path) -> None:
     assert_allclose(tiny(folder).encode_texts(TEXTS), unit(np.stack([row.double().numpy() for row in rows])), atol=2e-6)
 
 
-def test_half_precision_is_close_to_single(folder: Path) -> None:
+def test_half_precision_is_close_to_single(folder):
     exact, rows = (tiny(folder, dtype).encode_masks(PHOTO, some_masks()) for dtype in ("float32", "bfloat16"))
     assert 0 < np.abs(rows - exact).max() < 0.03
 
 
-def test_finer_patches_by_larger_images(folder: Path, tmp_path: Path) -> None:
+def test_finer_patches_by_larger_images(folder, tmp_path):
     """The model interpolates its places; a photo is always stretched, whatever the file says of cutting."""
     from shutil import copytree
 
@@ -139,15 +140,15 @@ def test_finer_patches_by_larger_images(folder: Path, tmp_path: Path) -> None:
 
 
 @given(st.integers(1, 30), st.integers(1, 30), st.integers(0, 2**32 - 1), st.integers(1, 9))
-def test_coverage_keeps_the_area_of_larger_images(rows: int, columns: int, seed: int, along: int) -> None:
+def test_coverage_keeps_the_area_of_larger_images(rows, columns, seed, along):
     height, width = rows * along, columns * along
-    mask = np.random.default_rng(seed).random((height, width)) < 0.5
+    mask = default_rng(seed).random((height, width)) < 0.5
     shares = coverage(cut_masks(mask[None], np.ones(1, np.float32)), 0, along)
     expected = mask.reshape(along, rows, along, columns).mean((1, 3))
     assert_allclose(shares, expected, atol=1e-5)
 
 
-def test_a_pixel_on_the_border_of_two_cells_counts() -> None:
+def test_a_pixel_on_the_border_of_two_cells_counts():
     """Its middle, 6.5, is where the third of six cells over 13 pixels ends."""
     mask = np.zeros((1, 1, 13), bool)
     mask[0, 0, 6] = True
@@ -155,7 +156,7 @@ def test_a_pixel_on_the_border_of_two_cells_counts() -> None:
 
 
 @given(st.integers(1, 20), st.integers(1, 20), st.integers(1, 20), st.data())
-def test_every_pixel_counts_somewhere(height: int, width: int, along: int, data: st.DataObject) -> None:
+def test_every_pixel_counts_somewhere(height, width, along, data):
     mask = np.zeros((1, height, width), bool)
     mask[0, data.draw(st.integers(0, height - 1)), data.draw(st.integers(0, width - 1))] = True
     assert coverage(cut_masks(mask, np.ones(1, np.float32)), 0, along).sum() > 0

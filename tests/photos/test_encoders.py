@@ -21,6 +21,7 @@ from drsplat.photos.models.loading import DEFAULT_ENCODER, load_encoder
 from drsplat.photos.models.preprocessing import Preprocessing, read_preprocessing
 from drsplat.photos.models.words import WordEncoder
 from drsplat.scene.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
+from refusing import malformed, refused
 from tiny_encoders import PATCH, SIDE, TOKENS, write_model
 
 torch = pytest.importorskip("torch", reason="needs torch")
@@ -118,7 +119,7 @@ def write_small_preprocessing(folder: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_images_are_those_of_the_model_called_by_hand(kind: str, folders: dict[str, Path]) -> None:
+def test_images_are_those_of_the_model_called_by_hand(kind, folders):
     if kind in IMAGES_ONLY:
         write_small_preprocessing(folders[kind], kind)
     encoder = tiny(folders[kind])
@@ -130,9 +131,7 @@ def test_images_are_those_of_the_model_called_by_hand(kind: str, folders: dict[s
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_size_of_batches_makes_no_difference(
-    kind: str, folders: dict[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_size_of_batches_makes_no_difference(kind, folders, monkeypatch):
     encoder = tiny(folders[kind])
     whole, sizes = encoder.encode_images(IMAGES), []
     inner = encoder._image_rows
@@ -142,14 +141,14 @@ def test_the_size_of_batches_makes_no_difference(
     assert sizes == [2, 2, 1]
 
 
-def test_batches_are_bounded_by_bytes(folders: dict[str, Path]) -> None:
+def test_batches_are_bounded_by_bytes(folders):
     encoder = tiny(folders["clip"])
     assert encoder.batch == (5 << 20) // (3 * 4 * SIDE**2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_half_precision_is_close_to_single(kind: str, folders: dict[str, Path]) -> None:
+def test_half_precision_is_close_to_single(kind, folders):
     encoder, single = tiny(folders[kind], "bfloat16"), tiny(folders[kind])
     exact, rows = single.encode_images(IMAGES), encoder.encode_images(IMAGES)
     assert rows.dtype == np.float32
@@ -159,7 +158,7 @@ def test_half_precision_is_close_to_single(kind: str, folders: dict[str, Path]) 
 
 
 @pytest.mark.parametrize("kind", ["clip", "siglip", "siglip2"])
-def test_published_preprocessing_of_square_images(kind: str, folders: dict[str, Path]) -> None:
+def test_published_preprocessing_of_square_images(kind, folders):
     """Against the processors of transformers that need no torchvision."""
     name = {"clip": "CLIP", "siglip": "Siglip", "siglip2": "Siglip2"}[kind]
     module = __import__(f"transformers.models.{kind}.image_processing_pil_{kind}", fromlist=["_"])
@@ -178,7 +177,7 @@ def test_published_preprocessing_of_square_images(kind: str, folders: dict[str, 
         assert_allclose(ours, theirs["pixel_values"][0], atol=2e-6)
 
 
-def test_images_that_are_not_square(folders: dict[str, Path]) -> None:
+def test_images_that_are_not_square(folders):
     wide = np.zeros((20, 60, 3), np.uint8)
     wide[:, 20:40] = 255
     cut = Preprocessing(10, "bicubic", (0.0,) * 3, (1.0,) * 3).pixel_values(wide)
@@ -187,9 +186,9 @@ def test_images_that_are_not_square(folders: dict[str, Path]) -> None:
     assert_allclose(stretched[0, 0], [0, 0, 0, 1, 1, 1, 0, 0, 0], atol=1e-6)
 
 
-def test_no_images_no_rows(folders: dict[str, Path]) -> None:
+def test_no_images_no_rows(folders):
     assert tiny(folders["clip"]).encode_images([]).shape == (0, 8)
-    with pytest.raises(InputError, match="0x3 pixels"):
+    with refused("0x3 pixels"):
         tiny(folders["clip"]).encode_images([np.zeros((3, 0, 3), np.uint8)])
 
 
@@ -197,7 +196,7 @@ def test_no_images_no_rows(folders: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("kind", WITH_TEXTS)
-def test_texts_are_those_of_the_model_called_by_hand(kind: str, folders: dict[str, Path]) -> None:
+def test_texts_are_those_of_the_model_called_by_hand(kind, folders):
     model, rows = by_transformers(folders[kind]), []
     tokenizer = transformers.AutoTokenizer.from_pretrained(folders[kind])
     for text in TEXTS:  # one by one, so CLIP needs no padding
@@ -216,12 +215,12 @@ def test_texts_are_those_of_the_model_called_by_hand(kind: str, folders: dict[st
 
 
 @pytest.mark.parametrize("kind", ["clip", "siglip"])
-def test_case_makes_no_difference(kind: str, folders: dict[str, Path]) -> None:
+def test_case_makes_no_difference(kind, folders):
     upper, lower = tiny(folders[kind]).encode_texts(["A Red MUG", "a red mug"])
     assert_allclose(upper, lower, atol=1e-6)
 
 
-def test_texts_are_embedded_once(folders: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_texts_are_embedded_once(folders, monkeypatch):
     encoder, asked = tiny(folders["clip"]), []
     inner = encoder._text_rows
     monkeypatch.setattr(encoder, "_text_rows", lambda texts: asked.extend(texts) or inner(texts))
@@ -238,33 +237,33 @@ def test_texts_are_embedded_once(folders: dict[str, Path], monkeypatch: pytest.M
     assert asked[-1] == "mug"
 
 
-def test_texts_that_cannot_be_embedded(folders: dict[str, Path], copied: Path) -> None:
+def test_texts_that_cannot_be_embedded(folders, copied):
     encoder = tiny(folders["clip"])
     assert encoder.encode_texts([]).shape == (0, 8)
-    with pytest.raises(InputError, match="expected a list"):
+    with refused("expected a list"):
         encoder.encode_texts("mug")
-    with pytest.raises(InputError, match="is empty: name"):
+    with refused("is empty: name"):
         encoder.encode_texts(["mug", " "])
-    with pytest.raises(InputError, match=f"15 tokens, tiny-clip reads {TOKENS}: shorten"):
+    with refused(f"15 tokens, tiny-clip reads {TOKENS}: shorten"):
         encoder.encode_texts(["mug", "mug " * 13])
     (copied / "vocab.json").unlink()
     (copied / "merges.txt").unlink()
     encoder = tiny(copied)
     assert encoder.encode_images(IMAGES[:1]).shape == (1, 8)  # needs no tokenizer
-    with pytest.raises(InputError, match="has no tokenizer"):
+    with refused("has no tokenizer"):
         encoder.encode_texts(["mug"])
 
 
 @pytest.mark.parametrize("kind", IMAGES_ONLY)
-def test_models_of_images_alone_know_no_words(kind: str, folders: dict[str, Path]) -> None:
-    with pytest.raises(InputError, match="self-referencing"):
+def test_models_of_images_alone_know_no_words(kind, folders):
+    with refused("self-referencing"):
         tiny(folders[kind]).encode_texts(["mug"])
 
 
 # --- identities -------------------------------------------------------------------------------
 
 
-def test_identity_is_of_name_weights_and_preprocessing(folders: dict[str, Path], copied: Path, tmp_path: Path) -> None:
+def test_identity_is_of_name_weights_and_preprocessing(folders, copied, tmp_path):
     given = tiny(folders["clip"]).identity
     assert (given.name, given.dim, len(given.weights)) == ("tiny-clip", 8, 32)
     assert given.preprocessing.startswith("32 px bicubic cut")
@@ -278,7 +277,7 @@ def test_identity_is_of_name_weights_and_preprocessing(folders: dict[str, Path],
     assert not other.matches(given)
 
 
-def test_unknown_parts_of_identities_match_all() -> None:
+def test_unknown_parts_of_identities_match_all():
     full = EncoderIdentity("a", 8, "w", "224 px")
     for known in (EncoderIdentity("a", 8), EncoderIdentity("a", 8, "w"), full):
         assert known.matches(full)
@@ -293,17 +292,17 @@ def test_unknown_parts_of_identities_match_all() -> None:
         assert not full.matches(other)
 
 
-def test_identities_in_files() -> None:
+def test_identities_in_files():
     full = EncoderIdentity("a", 8, "w", "224 px")
     assert encoder_from_json(identity_json(full), "here") == full
     old = {"name": "a", "dim": 8, "weights": "w"}
     assert identity_json(EncoderIdentity("a", 8, "w")) == old
     assert encoder_from_json(old, "here") == EncoderIdentity("a", 8, "w")
-    with pytest.raises(FormatError, match="here"):
+    with malformed("here"):
         encoder_from_json({**old, "preprocessing": 3}, "here")
 
 
-def test_they_are_encoders(folders: dict[str, Path]) -> None:
+def test_they_are_encoders(folders):
     encoder = tiny(folders["clip"])
     assert isinstance(encoder, Encoder)
     assert isinstance(encoder, ImageEncoder)
@@ -327,7 +326,7 @@ PUBLISHED = Preprocessing(224, "bicubic", (0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
         ({"do_normalize": False}, "224 px bicubic cut, x0.00392157, mean 0 0 0, std 1 1 1"),
     ],
 )
-def test_settings_of_processors(settings: dict[str, Any], expected: str, tmp_path: Path) -> None:
+def test_settings_of_processors(settings, expected, tmp_path):
     for name, document in (
         ("processor_config.json", {"image_processor": settings}),
         ("preprocessor_config.json", settings),
@@ -350,87 +349,87 @@ def test_settings_of_processors(settings: dict[str, Any], expected: str, tmp_pat
         ([], "expected an object"),
     ],
 )
-def test_settings_that_are_refused(settings: Any, message: str, tmp_path: Path) -> None:
+def test_settings_that_are_refused(settings, message, tmp_path):
     (tmp_path / "preprocessor_config.json").write_text(json.dumps(settings))
-    with pytest.raises(FormatError, match=message):
+    with malformed(message):
         read_preprocessing(tmp_path, PUBLISHED)
 
 
-def test_preprocessing_and_model_must_fit(copied: Path) -> None:
+def test_preprocessing_and_model_must_fit(copied):
     (copied / "preprocessor_config.json").write_text(json.dumps({"crop_size": 40}))
-    with pytest.raises(FormatError, match="scaled to 40 pixels, the model expects 32"):
+    with malformed("scaled to 40 pixels, the model expects 32"):
         tiny(copied)
 
 
 # --- what is wrong with a folder --------------------------------------------------------------
 
 
-def test_names_that_are_no_model(tmp_path: Path) -> None:
+def test_names_that_are_no_model(tmp_path):
     for name in (str(tmp_path / "absent"), "a/b/c", "", "../x"):
-        with pytest.raises(InputError, match="expected a folder"):
+        with refused("expected a folder"):
             load_encoder(name)
-    with pytest.raises(InputError, match=r"no config\.json"):
+    with refused(r"no config\.json"):
         load_encoder(str(tmp_path))
 
 
-def test_architectures_that_are_no_encoder(copied: Path) -> None:
+def test_architectures_that_are_no_encoder(copied):
     for document, kind in (({"model_type": "bert"}, InputError), ({}, FormatError), ([], FormatError)):
         (copied / "config.json").write_text(json.dumps(document))
         with pytest.raises(kind, match=r"bert|model_type"):
             tiny(copied)
 
 
-def test_weights_that_are_missing_or_pickles(copied: Path) -> None:
+def test_weights_that_are_missing_or_pickles(copied):
     (copied / "model.safetensors").unlink()
-    with pytest.raises(InputError, match=r"has no model\.safetensors"):
+    with refused(r"has no model\.safetensors"):
         tiny(copied)
     (copied / "pytorch_model.bin").write_bytes(b"pickle")
-    with pytest.raises(InputError, match="Convert it once"):
+    with refused("Convert it once"):
         tiny(copied)
 
 
-def test_damaged_weights(copied: Path) -> None:
+def test_damaged_weights(copied):
     path = copied / "model.safetensors"
     whole = path.read_bytes()
     for damaged in (whole[:-1], whole[:100], b"", b"<html>not found</html>"):
         path.write_bytes(damaged)
-        with pytest.raises(FormatError, match="damaged or incomplete"):
+        with malformed("damaged or incomplete"):
             tiny(copied)
 
 
-def test_weights_of_another_model(copied: Path, folders: dict[str, Path]) -> None:
+def test_weights_of_another_model(copied, folders):
     shutil.copy(folders["siglip"] / "model.safetensors", copied / "model.safetensors")
-    with pytest.raises(FormatError, match="CLIPModel"):
+    with malformed("CLIPModel"):
         tiny(copied)
 
 
-def test_missing_tensors_are_never_made_up(copied: Path) -> None:
+def test_missing_tensors_are_never_made_up(copied):
     from safetensors.numpy import load_file, save_file
 
     path = copied / "model.safetensors"
     tensors = load_file(path)
     del tensors["visual_projection.weight"]
     save_file(tensors, path, {"format": "pt"})
-    with pytest.raises(FormatError, match=r"lack 1 tensors.*visual_projection"):
+    with malformed(r"lack 1 tensors.*visual_projection"):
         tiny(copied)
 
 
-def test_weights_in_shards(copied: Path, folders: dict[str, Path]) -> None:
+def test_weights_in_shards(copied, folders):
     by_transformers(folders["clip"]).save_pretrained(copied, max_shard_size="8KB")
     (copied / "model.safetensors").unlink(missing_ok=True)
     assert_array_equal(tiny(copied).encode_images(IMAGES), tiny(folders["clip"]).encode_images(IMAGES))
     last = max(copied.glob("model-*.safetensors"))
     last.unlink()
-    with pytest.raises(FormatError, match="is not there"):
+    with malformed("is not there"):
         tiny(copied)
     index = copied / "model.safetensors.index.json"
     index.write_text(index.read_text().replace(last.name, "../away.safetensors"))
-    with pytest.raises(FormatError, match="is not there"):
+    with malformed("is not there"):
         tiny(copied)
 
 
 @pytest.mark.parametrize("value", [np.nan, 0.0])
-def test_vectors_without_direction(copied: Path, value: float) -> None:
+def test_vectors_without_direction(copied, value):
     from safetensors.numpy import load_file, save_file
 
     path = copied / "model.safetensors"
@@ -439,9 +438,9 @@ def test_vectors_without_direction(copied: Path, value: float) -> None:
         tensors[name] = np.full_like(tensors[name], value)
     save_file(tensors, path, {"format": "pt"})
     encoder = tiny(copied)
-    with pytest.raises(FormatError, match="vector of image 0 of 5 has no direction"):
+    with malformed("vector of image 0 of 5 has no direction"):
         encoder.encode_images(IMAGES)
-    with pytest.raises(FormatError, match="vector of text 0 of 1 has no direction"):
+    with malformed("vector of text 0 of 1 has no direction"):
         encoder.encode_texts(["mug"])
 
 
@@ -455,12 +454,12 @@ def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_no_network(empty_cache: Path) -> None:
+def test_no_network(empty_cache):
     with pytest.raises(DrSplatError, match=r"cannot be reached.*HF_HUB_OFFLINE"):
         load_encoder(DEFAULT_ENCODER)
 
 
-def test_a_cached_model_needs_no_network(empty_cache: Path, folders: dict[str, Path]) -> None:
+def test_a_cached_model_needs_no_network(empty_cache, folders):
     assert not pretrained.cached_in_full(DEFAULT_ENCODER)
     cache = empty_cache / f"models--{DEFAULT_ENCODER.replace('/', '--')}"
     shutil.copytree(folders["clip"], cache / "snapshots" / ("0" * 40))
@@ -481,7 +480,7 @@ def test_a_cached_model_needs_no_network(empty_cache: Path, folders: dict[str, P
         ("HfHubHTTPError", DrSplatError, "cannot be reached"),
     ],
 )
-def test_what_the_hub_refuses(kind: str, expected: type, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_hub_refuses(kind, expected, message, monkeypatch):
     def refuse(*_: object, **__: object) -> str:
         error_type = getattr(hub.errors, kind)
         raise error_type.__new__(error_type, "no")
@@ -496,27 +495,27 @@ def test_what_the_hub_refuses(kind: str, expected: type, message: str, monkeypat
     ("load", "name"),
     [(sam.load_segmenter, "facebook/sam3"), (load_encoder, "facebook/dinov3-vitb16-pretrain-lvd1689m")],
 )
-def test_gated_models_say_how_to_get_them(load: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gated_models_say_how_to_get_them(load, name, monkeypatch):
     def refuse(*_: object, **__: object) -> str:
         raise hub.errors.GatedRepoError.__new__(hub.errors.GatedRepoError, "403")
 
     monkeypatch.setattr(hub, "snapshot_download", refuse)
     message = rf"^{name}: gated\. Accept its licence at https://huggingface\.co/{name}, .*`hf auth login`"
-    with pytest.raises(InputError, match=message):
+    with refused(message):
         load(name)
 
 
 # --- what is absent ---------------------------------------------------------------------------
 
 
-def test_absent_libraries(monkeypatch: pytest.MonkeyPatch, folders: dict[str, Path]) -> None:
+def test_absent_libraries(monkeypatch, folders):
     monkeypatch.setattr(libraries, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=re.escape(pip_install("models"))):
         tiny(folders["clip"])
     assert isinstance(load_encoder("drsplat-words"), WordEncoder)
 
 
-def test_a_batch_that_does_not_fit_into_memory_is_made_smaller(folders: dict[str, Path], monkeypatch: Any) -> None:
+def test_a_batch_that_does_not_fit_into_memory_is_made_smaller(folders, monkeypatch):
     encoder, images = tiny(folders["clip"]), IMAGES * 4
     expected, whole, asked = encoder.encode_images(images), encoder._image_rows, []
 
@@ -532,7 +531,7 @@ def test_a_batch_that_does_not_fit_into_memory_is_made_smaller(folders: dict[str
     assert encoder.batch < tiny(folders["clip"]).batch
 
 
-def test_a_memory_that_holds_not_one_image_is_told(folders: dict[str, Path], monkeypatch: Any) -> None:
+def test_a_memory_that_holds_not_one_image_is_told(folders, monkeypatch):
     encoder = tiny(folders["clip"])
 
     def full(some: Sequence[np.ndarray]) -> np.ndarray:
@@ -543,7 +542,7 @@ def test_a_memory_that_holds_not_one_image_is_told(folders: dict[str, Path], mon
         encoder.encode_images(IMAGES)
 
 
-def test_a_broken_torchvision_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_torchvision_is_named(tmp_path, monkeypatch):
     (tmp_path / "torchvision").mkdir()
     broken = "raise RuntimeError('operator torchvision::nms does not exist')"
     (tmp_path / "torchvision" / "__init__.py").write_text(broken)
@@ -561,17 +560,17 @@ def test_a_broken_torchvision_is_named(tmp_path: Path, monkeypatch: pytest.Monke
         libraries.model_class("CLIPModel")
 
 
-def test_old_libraries_and_other_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_old_libraries_and_other_faults(monkeypatch):
     with pytest.raises(MissingExtraError, match="has no NotThere: pip install --upgrade"):
         libraries.model_class("NotThere")
     monkeypatch.setattr(libraries, "torchvision_fault", lambda: None)
     assert "Install them anew" in str(libraries._unusable(ImportError("x")))
 
 
-def test_devices(folders: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="expected one of auto, cpu, cuda, mps, got 'gpu'"):
+def test_devices(folders, monkeypatch):
+    with refused("expected one of auto, cpu, cuda, mps, got 'gpu'"):
         load_encoder(str(folders["clip"]), "gpu")
-    with pytest.raises(InputError, match="expected one of auto, float32"):
+    with refused("expected one of auto, float32"):
         load_encoder(str(folders["clip"]), "cpu", "int8")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
@@ -583,7 +582,7 @@ def test_devices(folders: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> N
     assert devices.chosen_device() == devices.chosen_device("cuda") == "cuda"
 
 
-def test_precisions(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_precisions(monkeypatch):
     for fast, expected in ((True, "bfloat16"), (False, "float32")):
         monkeypatch.setattr(devices, "has_fast_bfloat16", lambda fast=fast: fast)
         assert devices.chosen_dtype("auto", "cpu") == expected

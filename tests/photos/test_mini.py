@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from world.mini.augment import cut_out
 from world.mini.texts import bank, said_of, truth
 
 from drsplat import Scene
-from drsplat.errors import InputError
 from drsplat.field import build_field
 from drsplat.photos.models.loading import load_encoder
 from drsplat.photos.models.mini import MiniEncoder
@@ -34,6 +34,7 @@ from drsplat.photos.models.word_list import NOUNS, broad_list
 from drsplat.scene.encoders import Encoder, ImageEncoder
 from drsplat.scene.masks.crops import crop
 from fields import SCENE, random_evidence
+from refusing import refused
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def mini() -> MiniEncoder:
     return MiniEncoder()
 
 
-def test_it_is_an_encoder_of_words_and_images(mini: MiniEncoder) -> None:
+def test_it_is_an_encoder_of_words_and_images(mini):
     assert isinstance(mini, Encoder)
     assert isinstance(mini, ImageEncoder)
     assert mini.identity.dim == DIM
@@ -64,8 +65,8 @@ def plain_convolution(x: np.ndarray, weight: np.ndarray, bias: np.ndarray, strid
     return out
 
 
-def test_the_network_is_that_of_plain_loops() -> None:
-    rng = np.random.default_rng(0)
+def test_the_network_is_that_of_plain_loops():
+    rng = default_rng(0)
     channels = (3, 4, 5, 4, 6, 5, 4, 3)
     weights: dict[str, np.ndarray] = {"projection": rng.normal(size=(6, 7)).astype(np.float32)}
     for i, (a, b) in enumerate(itertools.pairwise(channels)):
@@ -80,8 +81,8 @@ def test_the_network_is_that_of_plain_loops() -> None:
         assert_allclose(found, expected / np.linalg.norm(expected), atol=1e-5)
 
 
-def test_images_do_not_depend_on_their_batch(mini: MiniEncoder) -> None:
-    rng = np.random.default_rng(1)
+def test_images_do_not_depend_on_their_batch(mini):
+    rng = default_rng(1)
     images = [rng.integers(0, 256, (side, side, 3), np.uint8) for side in rng.integers(5, 200, 70)]
     together = mini.encode_images(images)
     assert_allclose(np.linalg.norm(together, axis=1), 1, atol=1e-5)
@@ -89,14 +90,14 @@ def test_images_do_not_depend_on_their_batch(mini: MiniEncoder) -> None:
     assert mini.encode_images([]).shape == (0, DIM)
 
 
-def test_images_that_are_not_square_get_black_borders(mini: MiniEncoder) -> None:
+def test_images_that_are_not_square_get_black_borders(mini):
     wide = np.full((20, 60, 3), 200, np.uint8)
     square = np.zeros((60, 60, 3), np.uint8)
     square[20:40] = 200
     assert_allclose(mini.encode_images([wide]), mini.encode_images([square]), atol=1e-6)
 
 
-def test_a_text_is_its_words_in_any_order_and_number(mini: MiniEncoder) -> None:
+def test_a_text_is_its_words_in_any_order_and_number(mini):
     texts = ["a red mug", "Red mugs", "mug, red", "a photo of the red mug"]
     first, *others = mini.encode_texts(texts)
     assert_allclose(np.linalg.norm(first), 1, atol=1e-6)
@@ -110,22 +111,22 @@ def test_a_text_is_its_words_in_any_order_and_number(mini: MiniEncoder) -> None:
     [("knives", "knife"), ("shelves", "shelf"), ("boxes", "box"), ("candles", "candle"),
      ("things", "thing"), ("toys", "toy"), ("glass", "glass"), ("bus", "bus"), ("dishes", "dish")],
 )  # fmt: skip
-def test_plurals(word: str, singular: str) -> None:
+def test_plurals(word, singular):
     assert words_of(word) == [singular]
 
 
 @pytest.mark.parametrize("text", ["elephant", "red elephant", "the", "", "mug 3 xyzzy"])
-def test_what_it_was_not_taught_is_an_error(mini: MiniEncoder, text: str) -> None:
-    with pytest.raises(InputError, match=r"not taught|no word"):
+def test_what_it_was_not_taught_is_an_error(mini, text):
+    with refused(r"not taught|no word"):
         mini.encode_texts([text])
 
 
-def test_a_near_miss_is_helped(mini: MiniEncoder) -> None:
-    with pytest.raises(InputError, match=r"'tabel'.*Did you mean 'table'"):
+def test_a_near_miss_is_helped(mini):
+    with refused(r"'tabel'.*Did you mean 'table'"):
         mini.encode_texts(["tabel"])
 
 
-def test_swapped_texts_have_the_colour_or_the_thing_and_not_both() -> None:
+def test_swapped_texts_have_the_colour_or_the_thing_and_not_both():
     texts = swapped("the red mugs")
     assert {"blue mug", "orange mug", "red vase", "red toy car"} <= {*texts}
     assert not {"red mug", "mug", "red"} & {*texts}
@@ -150,12 +151,12 @@ def test_swapped_texts_have_the_colour_or_the_thing_and_not_both() -> None:
         ("кружка foo", "was not taught"),
     ],
 )
-def test_other_languages_are_named(mini: MiniEncoder, text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_other_languages_are_named(mini, text, said):
+    with refused(said):
         mini.encode_texts([text])
 
 
-def test_other_languages_are_translated_to_what_was_taught(mini: MiniEncoder) -> None:
+def test_other_languages_are_translated_to_what_was_taught(mini):
     file = files("drsplat.photos.models.mini") / "languages.txt"
     for line in file.read_text(encoding="utf-8").splitlines():
         if ": " in line and line[0] != "#":
@@ -164,7 +165,7 @@ def test_other_languages_are_translated_to_what_was_taught(mini: MiniEncoder) ->
             assert english == "the" or not {*foreign.split()} & {*WORDS, *broad_list(), *NOUNS}, line
 
 
-def test_the_lexicon_holds_together() -> None:
+def test_the_lexicon_holds_together():
     assert {name for names in GROUPS.values() for name in names} <= {*NAMES, *STRUCTURES}
     assert {word for name in NAMES for word in name.split()} <= set(WORDS)
     assert fits("orange", "orange", "orange", "peel")
@@ -180,7 +181,7 @@ def test_the_lexicon_holds_together() -> None:
 
 
 @given(st.sampled_from(NAMES), st.sampled_from(COLORS), st.sampled_from(MATERIALS))
-def test_every_thing_is_what_its_words_say(name: str, color: str, material: str) -> None:
+def test_every_thing_is_what_its_words_say(name, color, material):
     paint = PAINTS[COLORS.index(color)]
     assert all(fits(word, name, color, material) for word in [*name.split(), paint, material])
 
@@ -191,16 +192,16 @@ def test_every_thing_is_what_its_words_say(name: str, color: str, material: str)
      ("orange orange", [ORANGE, "orange"]), ("something orange", [ORANGE]), ("orange thing", [ORANGE, "thing"]),
      ("red orange", ["red", "orange"]), ("anything that is orange", [ORANGE])],
 )  # fmt: skip
-def test_an_orange_is_a_fruit_or_a_colour(text: str, words: list[str]) -> None:
+def test_an_orange_is_a_fruit_or_a_colour(text, words):
     assert words_of(text) == words
 
 
-def test_every_word_has_its_row(mini: MiniEncoder) -> None:
+def test_every_word_has_its_row(mini):
     assert mini.weights["words"].shape == (len(WORDS), DIM)
 
 
-def test_a_field_of_it_is_asked_without_further_options(mini: MiniEncoder) -> None:
-    evidence = random_evidence(np.random.default_rng(0), dim=DIM)
+def test_a_field_of_it_is_asked_without_further_options(mini):
+    evidence = random_evidence(default_rng(0), dim=DIM)
     field = build_field(evidence, SCENE, mini.identity)
     answer = Scene(field).ask("red mugs")
     assert (answer.measure, answer.rule) == ("relevancy", "list")
@@ -208,7 +209,7 @@ def test_a_field_of_it_is_asked_without_further_options(mini: MiniEncoder) -> No
     assert isinstance(load_encoder("drsplat-mini"), MiniEncoder)
 
 
-def test_it_tells_painted_shapes_apart(mini: MiniEncoder) -> None:
+def test_it_tells_painted_shapes_apart(mini):
     """Not of its world, but near enough: an orange disc on black, and a blue one."""
     y, x = np.mgrid[:80, :80] - 40
     disc = (x**2 + y**2 < 35**2)[..., None]
@@ -221,8 +222,8 @@ def test_it_tells_painted_shapes_apart(mini: MiniEncoder) -> None:
 # --- how it is learned -------------------------------------------------------------------------------
 
 
-def test_what_is_said_of_a_thing_is_true() -> None:
-    rng = np.random.default_rng(2)
+def test_what_is_said_of_a_thing_is_true():
+    rng = default_rng(2)
     for name in NAMES:
         label = (name, COLORS[rng.integers(len(COLORS))], MATERIALS[rng.integers(len(MATERIALS))])
         assert (truth([label], [said_of(label, rng) for _ in range(40)]) == 1).all()
@@ -230,12 +231,12 @@ def test_what_is_said_of_a_thing_is_true() -> None:
         assert (truth([(name, "", "")], [said_of((name, "", ""), rng) for _ in range(40)]) == 1).all()
 
 
-def test_nobody_knows_the_colour_of_a_wall() -> None:
+def test_nobody_knows_the_colour_of_a_wall():
     found = truth([("wall", "", "")], [("red", "wall"), ("red",), ("red", "mug"), ("wall",), ("wood",)])
     assert_array_equal(found, [[np.nan, np.nan, 0, 1, np.nan]])
 
 
-def test_the_loss_is_over_what_is_known() -> None:
+def test_the_loss_is_over_what_is_known():
     torch = pytest.importorskip("torch", reason="learning needs torch")
     from world.mini.learning import doubt
 
@@ -244,15 +245,15 @@ def test_the_loss_is_over_what_is_known() -> None:
     assert_allclose(float(doubt(logits, wanted)), np.log(2) + np.log(1 + np.exp(-2)), rtol=1e-6)
 
 
-def test_most_random_texts_are_not_true_of_a_thing() -> None:
-    rng = np.random.default_rng(3)
+def test_most_random_texts_are_not_true_of_a_thing():
+    rng = default_rng(3)
     texts = bank(2_000, rng)
     assert {word for text in texts for word in text} <= set(WORDS)
     assert 0.01 < truth([("mug", "red", "ceramic")], texts).mean() < 0.2
 
 
-def test_learned_crops_are_cut_as_masks_are_embedded() -> None:
-    rng = np.random.default_rng(4)
+def test_learned_crops_are_cut_as_masks_are_embedded():
+    rng = default_rng(4)
     image = rng.integers(0, 256, (96, 96, 3), np.uint8)
     mask = np.zeros((96, 96), bool)
     mask[10:50, 30:93] = rng.random((40, 63)) < 0.7
@@ -263,7 +264,7 @@ def test_learned_crops_are_cut_as_masks_are_embedded() -> None:
     assert_array_equal(shown, learned)
 
 
-def test_the_exported_network_is_the_learned_one() -> None:
+def test_the_exported_network_is_the_learned_one():
     torch = pytest.importorskip("torch", reason="learning needs torch")
     from world.mini.learning import Tower, exported
 

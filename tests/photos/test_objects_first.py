@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from scipy.sparse import csc_array, csr_array
 
@@ -72,9 +73,9 @@ def test_a_few_masks_of_each_ball_are_embedded_and_stand_for_the_others(scene, p
     ball_of = in_ball.argmax(0)
     assert len(ball_of) == 2 * COUNT
     assert np.bincount(ball_of[shared.chosen]).tolist() == [MAX_CROPS_PER_OBJECT] * 2
-    np.testing.assert_allclose(shared.shares.sum(axis=1), 1)
+    assert_allclose(shared.shares.sum(axis=1), 1)
     rows = np.repeat(np.arange(len(ball_of)), np.diff(shared.shares.indptr))
-    np.testing.assert_array_equal(ball_of[rows], ball_of[shared.chosen[shared.shares.indices]])
+    assert_array_equal(ball_of[rows], ball_of[shared.chosen[shared.shares.indices]])
 
 
 def test_the_crop_of_the_nearest_camera_has_half_of_the_say(scene, photos, tmp_path):
@@ -86,7 +87,7 @@ def test_the_crop_of_the_nearest_camera_has_half_of_the_say(scene, photos, tmp_p
         same = shared.chosen[shared.shares.toarray()[column] > 0]
         nearest = np.linalg.norm(centers[same] - centers[column], axis=1).min()
         assert np.linalg.norm(centers[stands] - centers[column]) == pytest.approx(nearest)
-    np.testing.assert_allclose(shared.shares.toarray().max(1), 0.5 + 0.5 / MAX_CROPS_PER_OBJECT)
+    assert_allclose(shared.shares.toarray().max(1), 0.5 + 0.5 / MAX_CROPS_PER_OBJECT)
 
 
 def test_a_mask_that_shows_no_object_stands_for_itself(scene, photos, tmp_path):
@@ -101,15 +102,15 @@ def test_a_mask_that_shows_no_object_stands_for_itself(scene, photos, tmp_path):
     masks = MaskIds(names, views.astype(np.int32), ids.astype(np.int32))
     evidence = Evidence(weights, masks, np.ones((len(views), 1), np.float32))
     shared = share_crops(evidence, scene, [*photos, replace(photos[0], name="photo_99.png")])
-    np.testing.assert_array_equal(shared.chosen[-2:], len(views) + np.array([-2, -1]))
-    np.testing.assert_array_equal(shared.shares.toarray()[-2:], np.eye(len(shared.chosen))[-2:])
+    assert_array_equal(shared.chosen[-2:], len(views) + np.array([-2, -1]))
+    assert_array_equal(shared.shares.toarray()[-2:], np.eye(len(shared.chosen))[-2:])
 
 
 def test_the_choice_of_crops_does_not_depend_on_threads(scene, photos, tmp_path):
     evidence = _evidence(scene, photos, tmp_path / "masks")
     one, three = (share_crops(evidence, scene, photos, threads=threads) for threads in (1, 3))
-    np.testing.assert_array_equal(one.chosen, three.chosen)
-    np.testing.assert_array_equal(one.shares.toarray(), three.shares.toarray())
+    assert_array_equal(one.chosen, three.chosen)
+    assert_array_equal(one.shares.toarray(), three.shares.toarray())
 
 
 def test_the_fit_of_a_node_is_its_iou_by_weight_in_the_photo_of_the_mask():
@@ -118,14 +119,14 @@ def test_the_fit_of_a_node_is_its_iou_by_weight_in_the_photo_of_the_mask():
     masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int32))
     evidence = Evidence(weights, masks, np.ones((4, 1), np.float32))
     inside = csr_array(np.array([[4.0, 2, 0, 0], [0, 0, 3, 0]]))
-    np.testing.assert_allclose(node_fits(inside, evidence).toarray(), [[4 / 6, 2 / 8, 0, 0], [0, 0, 1, 0]])
+    assert_allclose(node_fits(inside, evidence).toarray(), [[4 / 6, 2 / 8, 0, 0], [0, 0, 1, 0]])
 
 
 def test_crops_are_of_cameras_far_from_each_other():
     centers = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 10.0])[:, None] * (1, 0, 0)
     picks, distances = _spread(np.ones(6), centers, 3)
     assert sorted(picks.tolist()) == [0, 3, 5]
-    np.testing.assert_allclose(distances, np.abs(centers[:, :1] - centers[picks, 0]))
+    assert_allclose(distances, np.abs(centers[:, :1] - centers[picks, 0]))
     assert _spread(np.array([1.0, 1, 9, 1, 1, 1]), centers, 1)[0].tolist() == [2]
     assert len(_spread(np.ones(4), np.zeros((4, 3)), 3)[0]) == 1  # all of one photo
 
@@ -146,9 +147,9 @@ def test_features_are_what_the_chosen_crops_give(scene, photos, tmp_path):
     whole, made = read_features(tmp_path / "every"), read_features(tmp_path / "out")
     rows = np.concatenate([whole[view.name].embeddings for view in photos])
     expected = shared.embeddings(rows[shared.chosen])
-    np.testing.assert_allclose(np.concatenate([made[view.name].embeddings for view in photos]), expected, atol=2e-3)
+    assert_allclose(np.concatenate([made[view.name].embeddings for view in photos]), expected, atol=2e-3)
     for view in photos:
-        np.testing.assert_array_equal(made[view.name].mask_ids, whole[view.name].mask_ids)
+        assert_array_equal(made[view.name].mask_ids, whole[view.name].mask_ids)
     assert made.encoder == encoder.identity
     register(scene, photos, made)
 
@@ -167,7 +168,7 @@ def test_a_second_run_asks_nothing_and_a_new_photo_asks_for_little(scene, photos
     embed_objects(photos, fresh / "out", segmenter, encoder, scene, parts=fresh / "parts")
     for view in photos:
         again, anew = (read_features(folder)[view.name] for folder in (tmp_path / "out", fresh / "out"))
-        np.testing.assert_array_equal(again.embeddings, anew.embeddings)
+        assert_array_equal(again.embeddings, anew.embeddings)
 
 
 @pytest.mark.slow
@@ -206,7 +207,6 @@ def test_masks_of_four_levels_are_refused(scene, photos, tmp_path):
 # --- which photos ---------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 7), st.integers(1, 12), st.integers(0, 2**32 - 1))
 def test_each_view_is_the_one_that_shows_most_of_what_is_left(views, rows, seed):
     """Beside a plain loop that looks at every view each time."""
@@ -228,7 +228,7 @@ def test_what_has_been_seen_often_enough_is_not_looked_at_again(scene, photos):
     several = [replace(photos[0], name=f"same_{number:02}.png") for number in range(12)]
     choice = choose_views(scene, several, enough=0.999)
     assert len(choice.views) == SIGHTS_PER_GAUSSIAN
-    np.testing.assert_allclose(choice.seen, np.arange(1, SIGHTS_PER_GAUSSIAN + 1) / SIGHTS_PER_GAUSSIAN)
+    assert_allclose(choice.seen, np.arange(1, SIGHTS_PER_GAUSSIAN + 1) / SIGHTS_PER_GAUSSIAN)
     another = choose_views(scene, [*several, photos[-1]], enough=0.999)
     assert photos[-1] in another.views
 

@@ -17,9 +17,10 @@ import pytest
 from numpy.testing import assert_allclose
 from test_sam import run_alone
 
-from drsplat.errors import FormatError, InputError, MissingExtraError
+from drsplat.errors import MissingExtraError
 from drsplat.photos.models import open_clip_encoder, pretrained
 from drsplat.photos.models.loading import load_encoder
+from refusing import malformed, refused
 
 torch = pytest.importorskip("torch", reason="needs torch")
 pytest.importorskip("transformers", reason="needs transformers")
@@ -33,7 +34,7 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-class Model(torch.nn.Module):  # type: ignore[misc, name-defined]
+class Model(torch.nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.visual, self.words = torch.nn.Linear(3 * SIDE**2, DIM), torch.nn.Embedding(64, DIM)
@@ -100,7 +101,7 @@ def unit(rows: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("prefix", ["open_clip:", "hf-hub:"])
-def test_images_and_texts_go_through_the_library(library: ModuleType, folder: Path, prefix: str) -> None:
+def test_images_and_texts_go_through_the_library(library, folder, prefix):
     encoder, model = (
         tiny(folder, prefix),
         library.create_model(f"local-dir:{folder}", require_pretrained=True, pretrained_text=False, weights_only=True),
@@ -111,24 +112,22 @@ def test_images_and_texts_go_through_the_library(library: ModuleType, folder: Pa
     assert_allclose(encoder.encode_texts(texts), unit(model.encode_text(Tokenizer()(texts))), atol=2e-6)
 
 
-def test_identity_is_of_weights_and_the_size_that_the_model_takes(library: ModuleType, folder: Path) -> None:
+def test_identity_is_of_weights_and_the_size_that_the_model_takes(library, folder):
     identity = tiny(folder).identity
     assert (identity.name, identity.dim, len(identity.weights)) == ("tiny", DIM, 32)
     assert identity.preprocessing.startswith("8 px bicubic stretched, x0.00392157, mean 0.5 0.5 0.5, std 0.25")
 
 
-def test_texts_that_are_too_long(library: ModuleType, folder: Path) -> None:
+def test_texts_that_are_too_long(library, folder):
     encoder = tiny(folder)
     assert encoder.encode_texts(["one red mug"]).shape == (1, DIM)  # with both ends as many as it reads
-    with pytest.raises(InputError, match="'one very red mug' has more than the 5 tokens"):
+    with refused("'one very red mug' has more than the 5 tokens"):
         encoder.encode_texts(["mug", "one very red mug"])
-    with pytest.raises(InputError, match="is empty"):
+    with refused("is empty"):
         encoder.encode_texts([" "])
 
 
-def test_the_hub_is_asked_for_the_librarys_files_alone(
-    library: ModuleType, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_hub_is_asked_for_the_librarys_files_alone(library, folder, monkeypatch):
     asked: list[tuple[str, list[str]]] = []
 
     def download(name: str, allow_patterns: list[str]) -> str:
@@ -142,34 +141,34 @@ def test_the_hub_is_asked_for_the_librarys_files_alone(
     assert not any(file.endswith((".bin", ".pt")) for file in asked[0][1])
 
 
-def test_folders_that_are_not_the_librarys(library: ModuleType, folder: Path) -> None:
+def test_folders_that_are_not_the_librarys(library, folder):
     weights = folder / "open_clip_model.safetensors"
     whole = weights.read_bytes()
     weights.write_bytes(whole[:-1])
-    with pytest.raises(FormatError, match="damaged or incomplete"):
+    with malformed("damaged or incomplete"):
         tiny(folder)
     weights.unlink()
     (folder / "open_clip_pytorch_model.bin").write_bytes(b"pickle")
-    with pytest.raises(InputError, match="Convert it once"):
+    with refused("Convert it once"):
         tiny(folder)
     (folder / "open_clip_config.json").write_text(json.dumps({"model_cfg": {}}))
     weights.write_bytes(whole)
-    with pytest.raises(FormatError, match="embed_dim"):
+    with malformed("embed_dim"):
         tiny(folder)
     (folder / "open_clip_config.json").unlink()
-    with pytest.raises(InputError, match=r"no open_clip_config\.json"):
+    with refused(r"no open_clip_config\.json"):
         tiny(folder)
 
 
-def test_weights_of_another_model(library: ModuleType, folder: Path) -> None:
+def test_weights_of_another_model(library, folder):
     from safetensors.torch import save_file
 
     save_file({"other": torch.zeros(3)}, folder / "open_clip_model.safetensors")
-    with pytest.raises(FormatError, match="do not make a model of open_clip"):
+    with malformed("do not make a model of open_clip"):
         tiny(folder)
 
 
-def test_without_the_library_nothing_is_downloaded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_nothing_is_downloaded(monkeypatch):
     def download(*_: object, **__: object) -> str:
         raise AssertionError
 
@@ -179,7 +178,7 @@ def test_without_the_library_nothing_is_downloaded(monkeypatch: pytest.MonkeyPat
         load_encoder("hf-hub:timm/PE-Core-B-16")
 
 
-def test_a_library_that_cannot_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_cannot_be_imported(monkeypatch):
     monkeypatch.setattr(open_clip_encoder, "find_spec", lambda name: object())
     monkeypatch.setitem(sys.modules, "open_clip", None)
     with pytest.raises(MissingExtraError, match=r"cannot be imported.*torchvision"):
@@ -187,7 +186,7 @@ def test_a_library_that_cannot_be_imported(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.oracle
-def test_embeddings_are_those_of_the_library_itself() -> None:
+def test_embeddings_are_those_of_the_library_itself():
     if find_spec("open_clip") is None or find_spec("timm") is None:
         pytest.skip("needs open_clip_torch and timm")
     run_alone("timm_models.py", "open_clip")

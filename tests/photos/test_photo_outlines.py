@@ -27,14 +27,14 @@ def photo(height: int, width: int) -> np.ndarray:
     return cells[:height, :width].astype(np.uint8)
 
 
-def test_the_weights_are_those_that_were_learned() -> None:
+def test_the_weights_are_those_that_were_learned():
     layers, name = shipped_outlines()
     assert name == HASH
     assert sum(layer.size for layer in layers) < 1_000_000
     assert not layers[-2][:, 4:].any()  # of traits, which are not used
 
 
-def test_a_border_is_strong_and_the_inside_is_not() -> None:
+def test_a_border_is_strong_and_the_inside_is_not():
     strength = outlines(square())
     border = np.zeros(strength.shape, bool)
     border[57:183, 97:223] = True
@@ -49,7 +49,7 @@ def test_a_border_is_strong_and_the_inside_is_not() -> None:
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 70), (33, 40), (96, 161)])
-def test_outlines_are_those_of_the_twin(size: tuple[int, int]) -> None:
+def test_outlines_are_those_of_the_twin(size):
     """In float64, at both sizes; strengths in the middle between two steps may go to either."""
     image = photo(*size)
     half = Image.fromarray(image).resize(((size[1] + 1) // 2, (size[0] + 1) // 2), Image.Resampling.BOX)
@@ -61,12 +61,12 @@ def test_outlines_are_those_of_the_twin(size: tuple[int, int]) -> None:
     assert_allclose(found, (seen[0] + enlarged) / 2 / BORDER_STEPS, atol=1.01 / BORDER_STEPS)
 
 
-def test_any_number_of_threads_gives_the_same_bits() -> None:
+def test_any_number_of_threads_gives_the_same_bits():
     image = photo(700, 900)
     assert_array_equal(outlines(image, threads=1), outlines(image, threads=2))
 
 
-def test_outlines_of_a_large_photo_are_those_of_the_smaller_one_enlarged() -> None:
+def test_outlines_of_a_large_photo_are_those_of_the_smaller_one_enlarged():
     large = np.asarray(Image.fromarray(square()).resize((1280, 960), Image.Resampling.BICUBIC))
     strength = outlines(large)
     assert strength.shape == (960, 1280)
@@ -76,12 +76,12 @@ def test_outlines_of_a_large_photo_are_those_of_the_smaller_one_enlarged() -> No
     assert strength[320:640, 480:800].max() < 0.2
 
 
-def test_a_photo_without_pixels_is_refused() -> None:
+def test_a_photo_without_pixels_is_refused():
     with pytest.raises(InputError, match="0x5 pixels"):
         outlines(np.zeros((5, 0, 3), np.uint8))
 
 
-def test_learning_begins_with_what_graph_sees() -> None:
+def test_learning_begins_with_what_graph_sees():
     """A network of PyTorch with stored weights gives what the native one does."""
     torch = pytest.importorskip("torch", reason="pip install torch")
     from world.outlines.learning import begun_from
@@ -96,7 +96,7 @@ def test_learning_begins_with_what_graph_sees() -> None:
 
 
 @pytest.mark.slow
-def test_it_learns_from_maps_and_writes_what_the_native_network_reads(tmp_path) -> None:
+def test_it_learns_from_maps_and_writes_what_the_native_network_reads(tmp_path):
     pytest.importorskip("torch", reason="pip install torch")
     from safetensors.numpy import load_file
     from world.outlines.learning import learn, read_taught

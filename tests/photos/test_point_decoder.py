@@ -32,7 +32,7 @@ def some_points(count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [1, 2, 7])
-def test_answers_are_those_of_the_model(model: Any, count: int) -> None:
+def test_answers_are_those_of_the_model(model, count):
     import torch
 
     features, points = encoded(model), some_points(count)
@@ -48,7 +48,7 @@ def test_answers_are_those_of_the_model(model: Any, count: int) -> None:
     assert count == 1 or float((masks[0] - masks[-1]).abs().max()) > 1e-3 * spread  # points have answers of their own
 
 
-def test_an_image_is_shared_by_all_that_follow(model: Any) -> None:
+def test_an_image_is_shared_by_all_that_follow(model):
     """What is prepared for an image stays as it is, and another image has other answers."""
     import torch
 

@@ -2,10 +2,9 @@
 
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_embedding import a_view
 
@@ -15,20 +14,19 @@ from drsplat.photos.models.mini import MiniEncoder
 from fake_models import ColorSegmenter
 
 
-@settings(deadline=None)
 @given(st.lists(st.integers(), max_size=20), st.integers(1, 5))
-def test_results_come_in_order(items: list[int], at_once: int) -> None:
+def test_results_come_in_order(items, at_once):
     assert list(side_by_side(lambda item: item + 1, items, at_once)) == [item + 1 for item in items]
 
 
-def test_as_many_work_at_once_as_said() -> None:
+def test_as_many_work_at_once_as_said():
     """All three have to be there before one goes on."""
     barrier = threading.Barrier(3, timeout=30)
     assert len(list(side_by_side(lambda _: barrier.wait(), range(9), 3))) == 9
 
 
 @pytest.mark.parametrize("at_once", [1, 2, 4])
-def test_no_more_are_begun_than_said(at_once: int) -> None:
+def test_no_more_are_begun_than_said(at_once):
     taken = 0
     begun: list[int] = []
 
@@ -43,7 +41,7 @@ def test_no_more_are_begun_than_said(at_once: int) -> None:
     assert taken == 12
 
 
-def test_what_came_before_an_error_is_there() -> None:
+def test_what_came_before_an_error_is_there():
     def work(item: int) -> float:
         return 6 / (3 - item)
 
@@ -53,14 +51,14 @@ def test_what_came_before_an_error_is_there() -> None:
         next(found)
 
 
-def test_other_models_take_one_photo_at_a_time() -> None:
+def test_other_models_take_one_photo_at_a_time():
     both = GraphSegmenter(threads=3), MiniEncoder(threads=2)
     assert photos_at_once(both) == 2
     assert photos_at_once([GraphSegmenter(threads=99), MiniEncoder(threads=99)]) == MAX_PHOTOS_AT_ONCE
     assert photos_at_once([ColorSegmenter(), both[1]]) == 1
 
 
-def test_files_are_the_same_bytes_at_any_number_of_threads(tmp_path: Path) -> None:
+def test_files_are_the_same_bytes_at_any_number_of_threads(tmp_path):
     views = [a_view(tmp_path, f"{i}.png", 120, 90, seed=i) for i in range(5)]
     for threads in (1, 3):
         embed(views, tmp_path / str(threads), GraphSegmenter(threads=threads), MiniEncoder(threads=threads))

@@ -17,20 +17,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from catalogued import boxes_of, write_scene
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field, read_gaussians
 from drsplat.cli import main
-from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
+from drsplat.errors import DrSplatWarning, FormatError, MismatchError, MissingExtraError
 from drsplat.formats.checksums import sealed
 from drsplat.formats.claiming import claimed_output
 from drsplat.formats.tiles import write_tiles
 from drsplat.query.objects import support_of
 from drsplat.query.sketch import Packed, Sketch, SketchedScene
 from known_objects import CENTERS, EACH, known_scene
+from refusing import malformed, refused
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
@@ -102,7 +105,7 @@ def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
 # --- asking ---
 
 
-def test_the_best_objects_of_all_scenes(filled: Catalogue) -> None:
+def test_the_best_objects_of_all_scenes(filled):
     assert found(filled, "red mug") == [("kitchen", 0)]
     assert found(filled, "mug") == [("kitchen", 0), ("o'hara", 0)]
     assert found(filled, "mug", top=1) == [("kitchen", 0)]
@@ -111,7 +114,7 @@ def test_the_best_objects_of_all_scenes(filled: Catalogue) -> None:
     assert len(filled) == 6
 
 
-def test_exclusions_and_thresholds_mean_what_they_mean_in_a_scene(filled: Catalogue) -> None:
+def test_exclusions_and_thresholds_mean_what_they_mean_in_a_scene(filled):
     assert found(filled, "mug, not red") == [("o'hara", 0)]
     assert found(filled, Query("mug", exclude=("red",))) == [("o'hara", 0)]
     assert found(filled, Query("mug", threshold=0.99)) == []
@@ -123,17 +126,17 @@ def test_exclusions_and_thresholds_mean_what_they_mean_in_a_scene(filled: Catalo
     assert found(filled, Query(vector=vector)) == [("o'hara", 2)]
 
 
-def test_what_means_nothing_across_scenes_is_refused(filled: Catalogue) -> None:
+def test_what_means_nothing_across_scenes_is_refused(filled):
     for query in (Query(point=(0.0, 0.0, 0.0)), Query(click=("a", 1.0, 1.0)), Query("mug", top_share=0.1)):
-        with pytest.raises(InputError, match="one scene only"):
+        with refused("one scene only"):
             filled.ask(query)
     with pytest.raises(MismatchError, match="3 numbers"):
         filled.ask(Query(vector=np.ones(3, np.float32)))
-    with pytest.raises(InputError, match="top: expected 1 to"):
+    with refused("top: expected 1 to"):
         filled.ask("mug", top=0)
 
 
-def test_filters(filled: Catalogue) -> None:
+def test_filters(filled):
     assert found(filled, "mug", Conditions(scenes=("o'hara",))) == [("o'hara", 0)]
     assert found(filled, "mug", Conditions(scenes=("nobody",))) == []
     assert found(filled, "mug", Conditions(box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))) == [("kitchen", 0)]
@@ -143,14 +146,13 @@ def test_filters(filled: Catalogue) -> None:
     assert found(filled, "mug", Conditions(area=(-180.0, -90.0, 180.0, 90.0))) == []  # none has a georeference
 
 
-def test_an_answer_says_what_it_is(filled: Catalogue, scenes: Path) -> None:
+def test_an_answer_says_what_it_is(filled, scenes):
     (entry,) = filled.ask("white lamp")
     field = load_field(scenes / "o'hara/a.field")
     assert (entry.scene, entry.tile, entry.object_id, entry.photo) == ("o'hara", 0, 2, entry.photo)
     assert entry.score == pytest.approx(1.0, abs=2e-3)
-    np.testing.assert_allclose(entry.center, np.add(CENTERS[2], (10, 0, 0)), atol=0.02)
-    assert field.objects is not None
-    np.testing.assert_allclose(entry.extent, field.objects.extents[field.objects.thing(2)], rtol=1e-6)
+    assert_allclose(entry.center, np.add(CENTERS[2], (10, 0, 0)), atol=0.02)
+    assert_allclose(entry.extent, field.objects.extents[field.objects.thing(2)], rtol=1e-6)
     assert entry.field == field.fingerprint
     masks = {(mask.view_name, mask.mask_id) for mask in support_of(field, field.objects.thing(2))}
     assert (entry.photo, entry.mask) in masks
@@ -160,29 +162,29 @@ def test_an_answer_says_what_it_is(filled: Catalogue, scenes: Path) -> None:
     assert json.loads(json.dumps(entry.json()))["scene"] == "o'hara"
 
 
-def test_exact_answers_are_those_of_all_descriptors(tmp_path: Path) -> None:
-    rng, encoder = np.random.default_rng(1), EncoderIdentity("test", 24)
+def test_exact_answers_are_those_of_all_descriptors(tmp_path):
+    rng, encoder = default_rng(1), EncoderIdentity("test", 24)
     vectors = unit(rng, 800, 24)
     table.replace_scene(tmp_path / "c", "one", rows_of("one", vectors[:500], encoder), encoder)
     table.replace_scene(tmp_path / "c", "two", rows_of("two", vectors[500:], encoder), encoder)
     query = unit(rng, 24)
     stored = np.rint(vectors * (127 / np.abs(vectors).max(axis=1, keepdims=True)))
     stored /= np.linalg.norm(stored, axis=1, keepdims=True)
-    np.testing.assert_allclose(stored @ query, vectors @ query, atol=0.01)
+    assert_allclose(stored @ query, vectors @ query, atol=0.01)
     best = (stored.astype(np.float32).reshape(400, 2, 24) @ query).max(1)
     order = np.argsort(-best)[:20]
     expected = [("one", int(at)) if at < 250 else ("two", int(at) - 250) for at in order]
     catalogue = Catalogue.open(tmp_path / "c")
-    with pytest.raises(InputError, match="so words must be too: pass encoder=NAME"):
+    with refused("so words must be too: pass encoder=NAME"):
         catalogue.ask("mug")
     answer = catalogue.answer(Query(vector=query, threshold=-1.0), top=20)
     assert [(entry.scene, entry.object_id) for entry in answer.entries] == expected
     assert answer.exact
-    np.testing.assert_allclose([entry.score for entry in answer.entries], best[order], atol=1e-3)
+    assert_allclose([entry.score for entry in answer.entries], best[order], atol=1e-3)
 
 
-def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path: Path) -> None:
-    rng, encoder = np.random.default_rng(2), EncoderIdentity("test", 32)
+def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path):
+    rng, encoder = default_rng(2), EncoderIdentity("test", 32)
     centers = unit(rng, 40, 32)
     vectors = unit(rng, 1200, 32) * 0.4 + centers[rng.integers(0, 40, 1200)]
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -205,43 +207,41 @@ def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None)
 @given(text=st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), min_size=1, max_size=40))
-def test_names_are_texts_and_never_conditions(filled: Catalogue, text: str) -> None:
+def test_names_are_texts_and_never_conditions(filled, text):
     name = f"x' OR 1 = 1 OR scene = '{text}"
     assert found(filled, "mug", Conditions(scenes=(text, name))) == []
-    with pytest.raises(InputError, match="no object 0"):
+    with refused("no object 0"):
         filled.thumbnail(name, 0)
-    with pytest.raises(InputError, match="no scene"):
+    with refused("no scene"):
         filled.remove(f"{text}\\' --")
     assert len(filled) == 6
 
 
-@settings(max_examples=25, deadline=None)
 @given(text=st.text("'\"\\ a;-", max_size=12))
-def test_a_quoted_text_is_one_text(text: str) -> None:
+def test_a_quoted_text_is_one_text(text):
     """Read as SQL reads: a quote ends a text unless another follows."""
     assert re.fullmatch("'(?:[^']|'')*'", quoted(text))
     assert quoted(text)[1:-1].replace("''", "'") == text
 
 
 @pytest.mark.parametrize("name", ["", "a" * 201, "a\0b", "\ud800"])
-def test_names_that_are_none(filled: Catalogue, name: str) -> None:
-    with pytest.raises(InputError, match="a scene's name"):
+def test_names_that_are_none(filled, name):
+    with refused("a scene's name"):
         Conditions(scenes=(name,))
 
 
-def test_boxes_and_times_that_are_none() -> None:
-    with pytest.raises(InputError, match="expected a list of names"):
+def test_boxes_and_times_that_are_none():
+    with refused("expected a list of names"):
         Conditions("kitchen")
     for wrong in ({"box": (1.0, 0.0, 0.0, 0.0, 1.0, 1.0)}, {"box": (0.0, 0.0, 0.0, 1.0, 1.0, float("nan"))},
                   {"area": (0.0, 5.0, 1.0, 4.0)}, {"area": (0.0, 0.0, 181.0, 4.0)},
                   {"since": datetime(2026, 1, 1)}):  # fmt: skip
-        with pytest.raises(InputError, match=r"box|area|since"):
+        with refused(r"box|area|since"):
             Conditions(**wrong)
 
 
-def test_places_on_the_earth(tmp_path: Path) -> None:
+def test_places_on_the_earth(tmp_path):
     folder = write_scene(tmp_path / "roof", WORDS["kitchen"], photos=False)
     here = {"format": "drsplat georeference", "version": 1, "longitude": 13.4, "latitude": 52.5, "height": 80.0,
             "scale": 10.0, "enu_from_world": np.eye(3).tolist()}  # fmt: skip
@@ -250,8 +250,7 @@ def test_places_on_the_earth(tmp_path: Path) -> None:
     with pytest.warns(DrSplatWarning, match="no thumbnails"):
         catalogue.add(folder)
     (entry,) = catalogue.ask("green plant")  # 3 units, 30 metres, to the east
-    assert entry.position is not None
-    np.testing.assert_allclose(entry.position[:2], (13.4 + 30 / 67_900, 52.5), atol=5e-6)
+    assert_allclose(entry.position[:2], (13.4 + 30 / 67_900, 52.5), atol=5e-6)
     assert entry.position.height == pytest.approx(80, abs=0.02)
     east = Conditions(area=(13.4002, 52.4, 13.5, 52.6))
     assert found(catalogue, "green plant", east) == [("roof", 2)]
@@ -264,25 +263,25 @@ def test_places_on_the_earth(tmp_path: Path) -> None:
 # --- adding and removing ---
 
 
-def test_a_scene_that_is_added_again_takes_its_place(scenes: Path, tmp_path: Path) -> None:
+def test_a_scene_that_is_added_again_takes_its_place(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     field = load_field(scenes / "kitchen/a.field")
-    version = current(catalogue.path).version  # type: ignore[union-attr]
+    version = current(catalogue.path).version
     opened = Scene(boxes_of(("red mug", "red bowl", "red rug"), known_scene()), known_scene(), name="kitchen")
     with pytest.warns(DrSplatWarning, match="no thumbnails"):
         listed = catalogue.add(opened)
-    assert current(catalogue.path).version == version + 1  # type: ignore[union-attr]
+    assert current(catalogue.path).version == version + 1
     assert listed.field != field.fingerprint
     assert found(catalogue, "green plant") == []
     assert found(catalogue, "red rug") == [("kitchen", 2)]
     assert [(one.scene, one.num_objects, one.state) for one in catalogue.scenes()] == [("kitchen", 3, "unknown")]
     assert catalogue.ask("red rug")[0].thumbnail is None
-    with pytest.raises(InputError, match="has no thumbnail"):
+    with refused("has no thumbnail"):
         catalogue.thumbnail("kitchen", 2)
 
 
-def test_all_objects_of_a_scene_in_tiles(tmp_path: Path) -> None:
+def test_all_objects_of_a_scene_in_tiles(tmp_path):
     """Once each, also those across a border, with the tile that has most of them."""
     folder = write_scene(tmp_path / "kitchen", WORDS["kitchen"])
     whole = read_gaussians(folder / "scene.ply")
@@ -302,20 +301,20 @@ def test_all_objects_of_a_scene_in_tiles(tmp_path: Path) -> None:
         assert all(catalogue.thumbnail(one.scene, one.object_id, one.tile) == one.thumbnail for one in entries)
 
 
-def test_removing(scenes: Path, tmp_path: Path) -> None:
+def test_removing(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     for name in WORDS:
         catalogue.add(scenes / name)
     assert catalogue.remove("o'hara") == 3
     assert found(catalogue, "mug") == [("kitchen", 0)]
     assert catalogue.remove("o'hara") is None  # a killed command is given again
-    with pytest.raises(InputError, match=r"there is no scene \"o'neill\""):
+    with refused(r"there is no scene \"o'neill\""):
         catalogue.remove("o'neill")
     catalogue.remove("kitchen")
     assert (len(catalogue), catalogue.scenes(), catalogue.ask("mug")) == (0, [], [])
 
 
-def test_stale_scenes_are_told(tmp_path: Path) -> None:
+def test_stale_scenes_are_told(tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     for name, words in WORDS.items():
         catalogue.add(write_scene(tmp_path / name, words))
@@ -326,7 +325,7 @@ def test_stale_scenes_are_told(tmp_path: Path) -> None:
     assert [(one.scene, one.state) for one in catalogue.scenes()] == [("kitchen", "changed"), ("o'hara", "missing")]
 
 
-def test_another_encoder_is_refused(filled: Catalogue) -> None:
+def test_another_encoder_is_refused(filled):
     other = EncoderIdentity("somebody", 512, "abc")
     gaussians = known_scene()
     with pytest.raises(MismatchError, match=r"somebody.*a catalogue has one encoder"):
@@ -334,27 +333,27 @@ def test_another_encoder_is_refused(filled: Catalogue) -> None:
     assert len(filled) == 6
 
 
-def test_a_field_without_objects_says_how_to_find_them(tmp_path: Path) -> None:
+def test_a_field_without_objects_says_how_to_find_them(tmp_path):
     gaussians = known_scene()
     field = boxes_of(WORDS["kitchen"], gaussians).with_objects(None)
-    with pytest.raises(InputError, match="drsplat objects FIELD --scene SCENE"):
+    with refused("drsplat objects FIELD --scene SCENE"):
         Catalogue.open(tmp_path / "c").add(Scene(field, gaussians))
     assert not (tmp_path / "c").exists()
 
 
-def test_two_scenes_of_one_name_are_told_apart(scenes: Path, tmp_path: Path) -> None:
+def test_two_scenes_of_one_name_are_told_apart(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     other = write_scene(tmp_path / "kitchen", WORDS["o'hara"], photos=False)
-    with pytest.raises(InputError, match="pass name=NAME"):
+    with refused("pass name=NAME"):
         catalogue.add(other)
     with pytest.warns(DrSplatWarning, match="second: no thumbnails"):
         catalogue.add(other, name="second")
     assert [one.scene for one in catalogue.scenes()] == ["kitchen", "second"]
 
 
-def test_thumbnails_are_small_whatever_they_show() -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (900, 1200, 3), np.uint8)
+def test_thumbnails_are_small_whatever_they_show():
+    noise = default_rng(0).integers(0, 256, (900, 1200, 3), np.uint8)
     data = thumbnail(noise)
     assert len(data) <= MAX_BYTES
     assert Image.open(io.BytesIO(data)).format == "JPEG"
@@ -364,9 +363,9 @@ def test_thumbnails_are_small_whatever_they_show() -> None:
 
 
 @pytest.mark.slow
-def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path: Path) -> None:
+def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path):
     """Scenes come, are replaced and go; one stays, and each answer has all of it and whole others."""
-    rng, encoder, path = np.random.default_rng(3), EncoderIdentity("test", 16), tmp_path / "c"
+    rng, encoder, path = default_rng(3), EncoderIdentity("test", 16), tmp_path / "c"
     own = unit(rng, 16)
     stays = np.repeat(own[None], 20, axis=0)
     table.replace_scene(path, "stays", rows_of("stays", stays, encoder, 1), encoder)
@@ -395,8 +394,8 @@ def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path: Path) -> None:
     assert not wrong
 
 
-def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+def test_files_are_put_together_in_time(tmp_path, monkeypatch):
+    rng, encoder, path = default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     vectors = unit(rng, 8, 16)
     for number in range(8):
         table.replace_scene(
@@ -405,7 +404,6 @@ def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.Monk
 
     def fragments() -> int:
         known = current(path)
-        assert known is not None
         return int(known.table.stats()["fragment_stats"]["num_fragments"])
 
     table.tidy(path)
@@ -417,20 +415,19 @@ def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.Monk
         assert found(Catalogue.open(path), Query(vector=vectors[number], threshold=0.99)) == [(f"s{number}", 0)]
 
 
-def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+def test_nobody_waits_while_files_are_put_together(tmp_path, monkeypatch):
+    rng, encoder, path = default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     vectors = unit(rng, 8, 16)
     monkeypatch.setattr(table, "MAX_FRAGMENTS", 4)
     for number in range(8):
         own = vectors[number : number + 1]
         table.replace_scene(path, f"s{number}", rows_of(f"s{number}", own, encoder, 1), encoder)
     known = current(path)
-    assert known is not None
     optimize = type(known.table).optimize
 
     def meanwhile(self: object, **how: object) -> None:
         Catalogue.open(path).remove("s3")
-        with pytest.raises(InputError, match="is being written by"), claimed_output(path.with_name("c.tidy")):
+        with refused("is being written by"), claimed_output(path.with_name("c.tidy")):
             pass
         optimize(self, **how)
 
@@ -439,8 +436,8 @@ def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: 
     assert sorted(one.scene for one in Catalogue.open(path).scenes()) == [f"s{n}" for n in range(8) if n != 3]
 
 
-def test_nobody_waits_while_the_index_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+def test_nobody_waits_while_the_index_is_built(tmp_path, monkeypatch):
+    rng, encoder, path = default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     vectors = unit(rng, 600, 16)
     for name, own in (("stays", vectors[:500]), ("goes", vectors[500:550])):
         table.replace_scene(path, name, rows_of(name, own, encoder, 1), encoder)
@@ -459,10 +456,8 @@ def test_nobody_waits_while_the_index_is_built(tmp_path: Path, monkeypatch: pyte
         assert ([(entry.scene, entry.object_id) for entry in answer.entries], answer.exact) == (expected, False)
 
 
-def test_what_is_usual_stays_while_a_large_table_hardly_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+def test_what_is_usual_stays_while_a_large_table_hardly_changes(tmp_path, monkeypatch):
+    rng, encoder, path = default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     monkeypatch.setattr("drsplat.query.catalogue.catalogue.LARGE_ROWS", 200)
     catalogue, asked = Catalogue.open(path), []
     for name, size in (("small", 150), ("more", 250), ("hardly", 2), ("much", 50)):
@@ -476,7 +471,7 @@ def test_what_is_usual_stays_while_a_large_table_hardly_changes(
 
 
 @pytest.mark.slow
-def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
+def test_writers_take_turns(scenes, tmp_path):
     """Two processes add at once, and a thread of this one."""
     code = "import sys; from drsplat.query.catalogue import Catalogue; Catalogue.open(sys.argv[1]).add(sys.argv[2])"
     path = tmp_path / "c"
@@ -501,7 +496,7 @@ class EveryOther(SketchedScene):
         return np.array([self.is_even])
 
 
-def test_no_more_scenes_are_asked_than_answers_are_missing(filled: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_more_scenes_are_asked_than_answers_are_missing(filled, monkeypatch):
     """Every other scene agrees: 10 are asked for 10 answers, then 5 for those that are missing, then at least 4."""
     asked = []
 
@@ -515,7 +510,7 @@ def test_no_more_scenes_are_asked_than_answers_are_missing(filled: Catalogue, mo
     assert rules.first(Query("mug"), objects, 10) == list(range(0, 20, 2))
     assert asked == [[*range(10)], [*range(10, 15)], [*range(15, 19)]]
     assert rules.first(Query("mug"), objects, 25) == list(range(0, 40, 2))
-    with pytest.raises(FormatError, match="are not whole"):
+    with malformed("are not whole"):
         rules.first(Query("mug"), [("0", 1)], 1)
 
 
@@ -538,13 +533,12 @@ def adding(*argv: object) -> "subprocess.Popen[str]":
     """A process that opens a scene and then adds it, again and again."""
     command = [sys.executable, "-W", "ignore", "-c", ADDING, *map(str, argv)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
     return process
 
 
 @pytest.mark.slow
-def test_a_killed_writer_leaves_whole_scenes(scenes: Path, tmp_path: Path) -> None:
+def test_a_killed_writer_leaves_whole_scenes(scenes, tmp_path):
     path = tmp_path / "c"
     for seconds in (0.05, 0.4):
         process = adding(path, scenes / "kitchen")
@@ -558,9 +552,7 @@ def test_a_killed_writer_leaves_whole_scenes(scenes: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("left", ["data/rows.lance", "_transactions/0-one.txn"])
-def test_a_writer_killed_before_its_first_version_leaves_an_empty_catalogue(
-    left: str, scenes: Path, tmp_path: Path
-) -> None:
+def test_a_writer_killed_before_its_first_version_leaves_an_empty_catalogue(left, scenes, tmp_path):
     file = tmp_path / "c" / "objects.lance" / left
     file.parent.mkdir(parents=True)
     file.write_bytes(b"half")
@@ -569,18 +561,18 @@ def test_a_writer_killed_before_its_first_version_leaves_an_empty_catalogue(
     assert [one.num_objects for one in Catalogue.open(tmp_path / "c").scenes()] == [3]
 
 
-def test_a_catalogue_that_lost_its_versions_is_damaged(scenes: Path, tmp_path: Path) -> None:
+def test_a_catalogue_that_lost_its_versions_is_damaged(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     catalogue.add(scenes / "o'hara")
     for manifest in (tmp_path / "c").glob("*/_versions/*"):
         manifest.unlink()
-    with pytest.raises(FormatError, match="damaged"):
+    with malformed("damaged"):
         Catalogue.open(tmp_path / "c")
 
 
 @pytest.mark.slow
-def test_a_full_disk_changes_nothing(scenes: Path, tmp_path: Path) -> None:
+def test_a_full_disk_changes_nothing(scenes, tmp_path):
     path = tmp_path / "c"
     Catalogue.open(path).add(scenes / "kitchen")
     process = adding(path, scenes / "o'hara", 2000)
@@ -594,18 +586,18 @@ def test_a_full_disk_changes_nothing(scenes: Path, tmp_path: Path) -> None:
 # --- damaged and strange folders ---
 
 
-def test_a_folder_of_something_else(tmp_path: Path) -> None:
+def test_a_folder_of_something_else(tmp_path):
     (tmp_path / "a.txt").write_text("no table")
-    with pytest.raises(FormatError, match="expected a catalogue"):
+    with malformed("expected a catalogue"):
         Catalogue.open(tmp_path)
-    with pytest.raises(FormatError, match="expected a catalogue"):
+    with malformed("expected a catalogue"):
         Catalogue.open(tmp_path / "a.txt")
-    with pytest.raises(InputError, match="no catalogue is here"):
+    with refused("no catalogue is here"):
         Catalogue.open(tmp_path / "none").ask("mug")
     assert not (tmp_path / "none").exists()
 
 
-def test_without_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_its_extra(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "lancedb", None)
     with pytest.raises(MissingExtraError, match=r"pip install .*\[catalogue\]"):
         Catalogue.open(tmp_path)
@@ -614,12 +606,12 @@ def test_without_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     assert done.stdout == "False\n"
 
 
-def test_a_table_of_somebody_else(tmp_path: Path) -> None:
+def test_a_table_of_somebody_else(tmp_path):
     import lancedb
     import pyarrow as pa
 
     lancedb.connect(tmp_path).create_table("objects", data=pa.table({"a": [1]}))
-    with pytest.raises(FormatError, match="not of a catalogue"):
+    with malformed("not of a catalogue"):
         Catalogue.open(tmp_path)
 
 
@@ -636,30 +628,30 @@ def test_a_table_of_somebody_else(tmp_path: Path) -> None:
         ([], "not of a catalogue"),
     ],
 )
-def test_a_table_that_says_it_is_a_catalogue(tmp_path: Path, document: object, said: str) -> None:
+def test_a_table_that_says_it_is_a_catalogue(tmp_path, document, said):
     import lancedb
     import pyarrow as pa
 
     data = pa.table({"a": [1]}).replace_schema_metadata({KEY: json.dumps(document)})
     lancedb.connect(tmp_path).create_table("objects", data=data)
-    with pytest.raises(FormatError, match=said):
+    with malformed(said):
         Catalogue.open(tmp_path)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0])
-def test_descriptors_without_a_direction_are_refused(value: float) -> None:
-    vectors = unit(np.random.default_rng(0), 4, 8)
+def test_descriptors_without_a_direction_are_refused(value):
+    vectors = unit(default_rng(0), 4, 8)
     vectors[1] = value
-    with pytest.raises(InputError, match="descriptors: expected finite vectors"):
+    with refused("descriptors: expected finite vectors"):
         batch({}, [vectors], EncoderIdentity("test", 8))
 
 
 @pytest.mark.parametrize("wrong", ["zero", "box", "scene"])
-def test_rows_that_are_no_objects(tmp_path: Path, wrong: str) -> None:
+def test_rows_that_are_no_objects(tmp_path, wrong):
     import pyarrow as pa
 
     encoder = EncoderIdentity("test", 8)
-    columns = rows_of("one", unit(np.random.default_rng(0), 4, 8), encoder, 1)
+    columns = rows_of("one", unit(default_rng(0), 4, 8), encoder, 1)
     name, value = {
         "zero": ("descriptors", [[[1] * 8], [[0] * 8], [[1] * 8], [[1] * 8], []]),
         "box": ("x", [None, 1.0, 1.0, 1.0, None]),
@@ -669,23 +661,22 @@ def test_rows_that_are_no_objects(tmp_path: Path, wrong: str) -> None:
     columns = columns.set_column(at, name, pa.array(value, columns.schema.field(name).type))
     columns = columns.replace_schema_metadata(schema_of(encoder).metadata)
     table.replace_scene(tmp_path / "c", "one", columns, encoder)
-    with pytest.raises(FormatError, match="damaged"):
+    with malformed("damaged"):
         Catalogue.open(tmp_path / "c").ask(Query(vector=np.ones(8, np.float32), threshold=-1.0))
 
 
-def test_thumbnails_that_are_none(filled: Catalogue) -> None:
+def test_thumbnails_that_are_none(filled):
     (entry,) = filled.ask("red mug")
-    assert entry.thumbnail is not None
     for data in (b"", b"<svg onload=alert(1)>", entry.thumbnail[:40], b"\xff\xd8\xff" + bytes(500)):
-        with pytest.raises(FormatError, match="add the scene again"):
+        with malformed("add the scene again"):
             replace(entry, thumbnail=data).picture()
 
 
-def test_damaged_files_are_told_or_harm_nothing(filled: Catalogue, tmp_path: Path) -> None:
+def test_damaged_files_are_told_or_harm_nothing(filled, tmp_path):
     """Cut short, with bytes turned, or gone: an answer, or an error that names the catalogue."""
     import shutil
 
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     told = 0
     files = [file.relative_to(filled.path) for file in sorted(filled.path.rglob("*")) if file.is_file()]
     for number in range(24):
@@ -711,9 +702,7 @@ def test_damaged_files_are_told_or_harm_nothing(filled: Catalogue, tmp_path: Pat
 # --- the command line ---
 
 
-def test_the_command_line(
-    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line(scenes, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def said(*argv: str) -> dict[str, Any]:
@@ -755,7 +744,7 @@ def test_the_command_line(
 
 def two_rooms(folder: Path) -> Catalogue:
     """A catalogue of two scenes, added one after the other."""
-    rng, encoder, path = np.random.default_rng(5), EncoderIdentity("test", 16), folder / "c"
+    rng, encoder, path = default_rng(5), EncoderIdentity("test", 16), folder / "c"
     for name in ("one", "two"):
         with claimed_output(path):
             table.replace_scene(path, name, rows_of(name, unit(rng, 8, 16), encoder), encoder)
@@ -764,12 +753,12 @@ def two_rooms(folder: Path) -> Catalogue:
 
 def answer_to(catalogue: Catalogue, seed: int = 6) -> list[tuple[str, int, float]]:
     """All objects as a vector ranks them."""
-    answer = catalogue.answer(Query(vector=unit(np.random.default_rng(seed), 16), threshold=-1.0), top=50)
+    answer = catalogue.answer(Query(vector=unit(default_rng(seed), 16), threshold=-1.0), top=50)
     return [(entry.scene, entry.object_id, entry.score) for entry in answer.entries]
 
 
-def test_a_flipped_bit_never_changes_an_answer(tmp_path: Path) -> None:
-    catalogue, rng = two_rooms(tmp_path), np.random.default_rng(8)
+def test_a_flipped_bit_never_changes_an_answer(tmp_path):
+    catalogue, rng = two_rooms(tmp_path), default_rng(8)
     expected = answer_to(catalogue)
     for file in sorted(path for path in catalogue.path.rglob("*") if path.is_file()):
         good = file.read_bytes()
@@ -777,36 +766,36 @@ def test_a_flipped_bit_never_changes_an_answer(tmp_path: Path) -> None:
             damaged = bytearray(good)
             damaged[at] ^= 1 << int(rng.integers(8))
             file.write_bytes(damaged)
-            with pytest.raises(FormatError, match=re.escape(file.name)):
+            with malformed(re.escape(file.name)):
                 answer_to(Catalogue.open(catalogue.path))
         file.write_bytes(good)
     assert answer_to(catalogue) == expected
 
 
-def test_a_table_without_its_latest_version_is_refused(tmp_path: Path) -> None:
+def test_a_table_without_its_latest_version_is_refused(tmp_path):
     catalogue = two_rooms(tmp_path)
     latest = min((catalogue.path / "objects.lance/_versions").glob("*.manifest"))  # they count down
     latest.unlink()
-    with pytest.raises(FormatError, match=r"version 1 is the newest that is here, and version 2 was written"):
+    with malformed(r"version 1 is the newest that is here, and version 2 was written"):
         catalogue.ask(Query(vector=np.ones(16, np.float32)))
-    with pytest.raises(FormatError, match="version 1 is the newest"):
+    with malformed("version 1 is the newest"):
         catalogue.remove("one")
 
 
-def test_a_missing_file_of_a_large_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_file_of_a_large_table_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(record, "SMALL_BYTES", 0)
     catalogue = two_rooms(tmp_path)
     rows = min((catalogue.path / "objects.lance/data").iterdir())
     content = rows.read_bytes()
     rows.unlink()
-    with pytest.raises(FormatError, match=f"{rows.name}: missing"):
+    with malformed(f"{rows.name}: missing"):
         Catalogue.open(catalogue.path)
     rows.write_bytes(content[:-1])
-    with pytest.raises(FormatError, match=f"{rows.name}: damaged"):
+    with malformed(f"{rows.name}: damaged"):
         Catalogue.open(catalogue.path)
     rows.write_bytes(bytes(len(content)))  # of the same size: only `verify` reads all of a large table
     Catalogue.open(catalogue.path)
-    with pytest.raises(FormatError, match=f"{rows.name}: damaged"):
+    with malformed(f"{rows.name}: damaged"):
         catalogue.verify()
 
 
@@ -826,7 +815,7 @@ Catalogue.open(path).remove("kitchen") if moment == "before the intent" else Cat
 
 
 @pytest.mark.slow
-def test_a_writer_killed_before_its_record(scenes: Path, tmp_path: Path) -> None:
+def test_a_writer_killed_before_its_record(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     for moment, names in (("before the record", ["kitchen", "o'hara"]), ("before the intent", ["kitchen", "o'hara"])):
@@ -835,11 +824,9 @@ def test_a_writer_killed_before_its_record(scenes: Path, tmp_path: Path) -> None
         assert [one.scene for one in catalogue.scenes()] == names
     catalogue.verify()  # what was recorded is as it was
     before = record.read_record(catalogue.path)
-    assert before is not None
     assert before.version == 1
     catalogue.add(scenes / "o'hara")  # the same command again
     after = record.read_record(catalogue.path)
-    assert after is not None
     assert after.version == 3
     assert len(catalogue.verify()) == 1 + sum(file.is_file() for file in (catalogue.path / "objects.lance").rglob("*"))
 
@@ -857,7 +844,7 @@ Catalogue.open(sys.argv[1]).remove("kitchen")
 
 
 @pytest.mark.slow
-def test_a_killed_removal_that_had_ended_is_given_again(scenes: Path, tmp_path: Path) -> None:
+def test_a_killed_removal_that_had_ended_is_given_again(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
     for name in WORDS:
         catalogue.add(scenes / name)
@@ -869,7 +856,7 @@ def test_a_killed_removal_that_had_ended_is_given_again(scenes: Path, tmp_path: 
     assert catalogue.remove("kitchen") == 3
 
 
-def test_files_of_older_versions_may_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_older_versions_may_go(tmp_path, monkeypatch):
     """As putting files together removes them, at the same version of the table or at a newer one."""
     monkeypatch.setattr(table, "OUTDATED", timedelta(milliseconds=1))
     monkeypatch.setattr(table, "MAX_FRAGMENTS", 0)
@@ -883,12 +870,11 @@ def test_files_of_older_versions_may_go(tmp_path: Path, monkeypatch: pytest.Monk
         tries += 1
         assert tries < 20
     kept = record.read_record(catalogue.path)
-    assert kept is not None
     assert kept.version > 2
     catalogue.verify()
 
 
-def test_a_catalogue_without_a_record_is_read_and_gets_one(tmp_path: Path) -> None:
+def test_a_catalogue_without_a_record_is_read_and_gets_one(tmp_path):
     catalogue = two_rooms(tmp_path)
     (catalogue.path / record.RECORD).unlink()  # as older versions leave it
     assert (len(catalogue), catalogue.verify()) == (8, [])
@@ -896,10 +882,10 @@ def test_a_catalogue_without_a_record_is_read_and_gets_one(tmp_path: Path) -> No
     assert len(catalogue.verify()) > 4
 
 
-def test_what_is_asked_while_others_write_is_no_damage(tmp_path: Path) -> None:
+def test_what_is_asked_while_others_write_is_no_damage(tmp_path):
     """Whoever asks reads the record of one version and may open the next one."""
     catalogue, path = two_rooms(tmp_path), tmp_path / "c"
-    rng, encoder = np.random.default_rng(9), EncoderIdentity("test", 16)
+    rng, encoder = default_rng(9), EncoderIdentity("test", 16)
 
     def write() -> None:
         for number in range(12):
@@ -920,11 +906,11 @@ def test_what_is_asked_while_others_write_is_no_damage(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../../etc/passwd", "/etc/passwd", "a//b", "data/..", 5])
-def test_records_that_are_none(name: Any, tmp_path: Path) -> None:
+def test_records_that_are_none(name, tmp_path):
     catalogue = two_rooms(tmp_path)
     path = catalogue.path / record.RECORD
     document = json.loads(path.read_text())
     del document["crc32"]
     path.write_text(json.dumps(sealed({**document, "files": {str(name): [1, "0"] if name != 5 else [1]}})))
-    with pytest.raises(FormatError, match="expected the size and the checksum of a file"):
+    with malformed("expected the size and the checksum of a file"):
         catalogue.ask(Query(vector=np.ones(16, np.float32)))

@@ -1,12 +1,9 @@
 """What a catalogue of the demo's room answers, by descriptors and a sketch, and what the room does by its Gaussians."""
 
-from pathlib import Path
-
 import pytest
 
 from drsplat import Scene, open_scene
 from drsplat.errors import DrSplatWarning
-from drsplat.evaluation.demo.story import Story
 from drsplat.query.objects import object_of
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
@@ -23,9 +20,7 @@ MANY = (
 NOTHING = ("banana", "basket", "book", "bread", "chair", "cushion", "pan", "teapot", "teddy bear")
 
 
-def test_the_best_object_is_mostly_that_of_the_room(
-    household_story: Story, household_folder: Path, tmp_path: Path
-) -> None:
+def test_the_best_object_is_mostly_that_of_the_room(household_story, household_folder, tmp_path):
     room = open_scene(household_folder)
     catalogue = Catalogue.open(tmp_path / "c")
     with pytest.warns(DrSplatWarning, match="no thumbnails"):
@@ -40,9 +35,7 @@ def test_the_best_object_is_mostly_that_of_the_room(
     assert sum(not catalogue.ask(word) for word in absent) >= 0.75 * len(absent)
 
 
-def test_nothing_is_answered_that_the_room_does_not_answer_with(
-    household_story: Story, household_folder: Path, tmp_path: Path
-) -> None:
+def test_nothing_is_answered_that_the_room_does_not_answer_with(household_story, household_folder, tmp_path):
     room = open_scene(household_folder)
     catalogue = Catalogue.open(tmp_path / "c")
     with pytest.warns(DrSplatWarning, match="no thumbnails"):

@@ -63,7 +63,7 @@ def assert_same(one: list[ds.Match], other: list[ds.Match]) -> None:
         assert (first.score, first.support, first.object_id) == (second.score, second.support, second.object_id)
 
 
-def test_rows_of_tiles_are_those_of_the_whole(both: tuple[Scene, Scene]) -> None:
+def test_rows_of_tiles_are_those_of_the_whole(both):
     tiled, whole = (scene.rows for scene in both)
     rows = np.random.default_rng(0).permutation(len(whole))[:70]
     for name in ("means", "quats", "scales", "opacities"):
@@ -75,7 +75,7 @@ def test_rows_of_tiles_are_those_of_the_whole(both: tuple[Scene, Scene]) -> None
     assert len(tiled.subset(rows[:0])) == len(tiled.shapes_of(rows[:0])) == 0
 
 
-def test_every_kind_of_query_finds_the_same(both: tuple[Scene, Scene]) -> None:
+def test_every_kind_of_query_finds_the_same(both):
     tiled, whole = both
     red, blue = SURFACES
     vector = whole.encoder.encode_texts(["red mug"])[0].astype(np.float32)
@@ -96,7 +96,7 @@ def test_every_kind_of_query_finds_the_same(both: tuple[Scene, Scene]) -> None:
     assert any(len(whole.locate(query)) for query in queries)
 
 
-def test_objects_labels_and_classes_are_the_same(both: tuple[Scene, Scene]) -> None:
+def test_objects_labels_and_classes_are_the_same(both):
     tiled, whole = both
     assert_same(tiled.objects, whole.objects)
     assert_array_equal(tiled.segment(WORDS).labels, whole.segment(WORDS).labels)
@@ -104,7 +104,7 @@ def test_objects_labels_and_classes_are_the_same(both: tuple[Scene, Scene]) -> N
     assert_array_equal(np.stack(tiled.box), np.stack(whole.box))
 
 
-def test_places_regions_and_relations_are_the_same(both: tuple[Scene, Scene]) -> None:
+def test_places_regions_and_relations_are_the_same(both):
     tiled, whole = both
     place = SURFACES[0]
     click = ("photo_0.png", 30.0, 42.0)
@@ -122,7 +122,7 @@ def test_places_regions_and_relations_are_the_same(both: tuple[Scene, Scene]) ->
 
 
 @pytest.mark.parametrize("place", [(40.0, 0.0, 0.0), (0.0, np.nan, 0.0), (1e200, 0.0, 0.0)])
-def test_where_nothing_is_the_same_error_says_so(both: tuple[Scene, Scene], place: tuple[float, float, float]) -> None:
+def test_where_nothing_is_the_same_error_says_so(both, place):
     said = []
     for scene in both:
         with pytest.raises(InputError) as error:
@@ -138,7 +138,7 @@ def nearest_or_error(rows: AnyGaussians, some: np.ndarray, point: np.ndarray) ->
         return str(error)
 
 
-def test_the_nearest_of_many_is_that_of_the_whole_wherever_one_asks(both: tuple[Scene, Scene]) -> None:
+def test_the_nearest_of_many_is_that_of_the_whole_wherever_one_asks(both):
     """64 candidates of 300 lie in several tiles, and tiles are taken by their distance."""
     tiled, whole = (scene.rows for scene in both)
     some = np.arange(0, len(whole), 2, dtype=np.uint32)
@@ -147,7 +147,7 @@ def test_the_nearest_of_many_is_that_of_the_whole_wherever_one_asks(both: tuple[
     assert_array_equal(middle(tiled, (0.1, 0.7), some), middle(whole, (0.1, 0.7), some))
 
 
-def test_a_place_reads_only_tiles_near_it(both: tuple[Scene, Scene]) -> None:
+def test_a_place_reads_only_tiles_near_it(both):
     rows = read_tiles(both[0].tiles.path).parted()
     counted = []
     with patch.object(
@@ -160,7 +160,7 @@ def test_a_place_reads_only_tiles_near_it(both: tuple[Scene, Scene]) -> None:
 _shapes = Tiles.shapes
 
 
-def test_pictures_are_the_same(both: tuple[Scene, Scene]) -> None:
+def test_pictures_are_the_same(both):
     tiled, whole = both
     match = whole.locate("red mug")[0]
     for view in whole.views:
@@ -174,16 +174,16 @@ def test_pictures_are_the_same(both: tuple[Scene, Scene]) -> None:
     assert_array_equal(attribute_row(tiled, match, ["red"]), attribute_row(whole, match, ["red"]))
 
 
-def test_without_evidence_a_near_view_that_shows_it_is_taken(both: tuple[Scene, Scene]) -> None:
+def test_without_evidence_a_near_view_that_shows_it_is_taken(both):
     tiled, whole = both
     bare = Scene(replace(tiled.field, evidence=None, objects=None, growth=None), tiled.tiles, tiled.views)
     away = [look_at_view((x, -30.0, 0.0), (x, -60.0, 0.0), width=60, height=40) for x in range(9)]
-    bare.views = (*away, *whole.views)  # type: ignore[misc]
+    bare.views = (*away, *whole.views)
     shown = [view.name for view in whole.views]
     assert bare.best_view(whole.locate("red mug")[0].gaussian_ids).name in shown
 
 
-def test_a_picture_of_a_part_reads_only_tiles_in_sight(both: tuple[Scene, Scene]) -> None:
+def test_a_picture_of_a_part_reads_only_tiles_in_sight(both):
     """A camera close to the red ball, which looks away from the blue one."""
     tiled, whole = both
     view = look_at_view((-0.2, -0.2, 0.0), (-2.0, 0.0, 0.0), width=60, height=40)
@@ -194,7 +194,7 @@ def test_a_picture_of_a_part_reads_only_tiles_in_sight(both: tuple[Scene, Scene]
     assert_array_equal(seen.rows[seen.local(ids)], np.intersect1d(seen.rows, ids))
 
 
-def test_a_view_of_too_much_thins_far_tiles_out_and_says_so(both: tuple[Scene, Scene]) -> None:
+def test_a_view_of_too_much_thins_far_tiles_out_and_says_so(both):
     tiles, view = both[0].tiles, both[0].views[0]
     seen = seen_of_tiles(tiles, view, 150)
     assert (len(seen.gaussians) + seen.num_left_out, both[0].seen(view).num_left_out) == (300, 0)
@@ -210,7 +210,7 @@ def test_a_view_of_too_much_thins_far_tiles_out_and_says_so(both: tuple[Scene, S
         both[0].picture(view)
 
 
-def test_a_field_alone_and_tiles_of_another_scene_say_what_is_wrong(city: Path, tmp_path: Path) -> None:
+def test_a_field_alone_and_tiles_of_another_scene_say_what_is_wrong(city, tmp_path):
     with pytest.raises(InputError, match="opened without its Gaussians"):
         _ = open_scene(city / "tiled/city.field").rows
     ds.write_gaussians(tmp_path / "half.ply", ds.read_gaussians(city / "whole/scene.ply").subset(np.arange(150)))
@@ -220,7 +220,7 @@ def test_a_field_alone_and_tiles_of_another_scene_say_what_is_wrong(city: Path, 
 
 
 @pytest.mark.parametrize("damage", ["missing", "cut short", "of another cut", "a flipped bit"])
-def test_a_bad_tile_is_named_when_a_query_meets_it(city: Path, tmp_path: Path, damage: str) -> None:
+def test_a_bad_tile_is_named_when_a_query_meets_it(city, tmp_path, damage):
     folder = Path(shutil.copytree(city / "tiled", tmp_path / "tiled"))
     for tile in sorted((folder / "city.tiles").glob("*.shapes.safetensors")):
         content = bytearray(tile.read_bytes())
@@ -245,7 +245,7 @@ def test_a_bad_tile_is_named_when_a_query_meets_it(city: Path, tmp_path: Path, d
         scene.locate("red mug")
 
 
-def test_the_command_line_prints_the_same(city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_prints_the_same(city, capsys):
     printed = []
     for name, scene in (("tiled", "city.tiles"), ("whole", "scene.ply")):
         folder = city / name

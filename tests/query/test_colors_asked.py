@@ -22,7 +22,6 @@ def photos_like() -> LanguageField:
     """Three things that fit some noun better than any colour, as real photos do; red, white and brown fit best of the
     colours. The brown one fits brown only half as well as the others fit theirs."""
     nouns, colors = MINI.encode_texts(MINI.nouns), MINI.rivals("red")
-    assert colors is not None
     wrong = nouns[[MINI.nouns.index(name) for name in ("bottle", "sofa", "box")]]
     right = colors[[COLORS.index(color) for color in ("red", "white", "brown")]]
     pictures = 1.2 * wrong + np.array([[0.9], [0.9], [0.6]]) * right
@@ -40,13 +39,13 @@ def scene() -> Scene:
 
 @pytest.mark.parametrize("text", ["something {}", "{}", "a {} thing", "the {} one", "anything {}"])
 @pytest.mark.parametrize(("color", "thing"), [("red", 0), ("white", 1), ("brown", 2)])
-def test_a_colour_is_found_though_nouns_fit_better(text: str, color: str, thing: int, scene: Scene) -> None:
+def test_a_colour_is_found_though_nouns_fit_better(text, color, thing, scene):
     found = scene.ask(text.format(color)).gaussian_ids
     np.testing.assert_array_equal(found, np.arange(thing * EACH, (thing + 1) * EACH))
 
 
 @pytest.mark.parametrize("color", ["blue", "green", "yellow", "purple"])
-def test_a_colour_that_is_not_there_is_not_found(color: str, scene: Scene) -> None:
+def test_a_colour_that_is_not_there_is_not_found(color, scene):
     assert not len(scene.ask(f"something {color}").gaussian_ids)
 
 
@@ -54,17 +53,17 @@ def test_a_colour_that_is_not_there_is_not_found(color: str, scene: Scene) -> No
     ("something red", True), ("white", True), ("a grey thing", True), ("the orange one", True), ("red mug", False),
     ("orange", False), ("a thing", False), ("wooden", False), ("something red and wooden", False),
 ])  # fmt: skip
-def test_which_texts_ask_for_a_colour_only(text: str, expected: bool) -> None:
+def test_which_texts_ask_for_a_colour_only(text, expected):
     assert only_colors(text) == expected
     assert (MINI.rivals(text) is not None) == expected
 
 
-def test_the_orange_one_is_a_colour() -> None:
+def test_the_orange_one_is_a_colour():
     assert words_of("the orange one") == words_of("something orange") == [ORANGE]
     assert words_of("an orange") == ["orange"]
 
 
-def test_objects_of_a_catalogue_are_asked_alike(scene: Scene) -> None:
+def test_objects_of_a_catalogue_are_asked_alike(scene):
     pictures = scene.field.evidence.embeddings
     objects = Described.of(list(pictures.reshape(3, EACH, -1)[:, :2]), MINI.identity.dim)
     around = Surroundings(scene.field, lambda: MINI, pictures[::50])

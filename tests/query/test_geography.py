@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from cities import write_city
-from command_line import Capture
 from drsplat.cli import main
 from drsplat.errors import FormatError
 from drsplat.formats.georeference import NAME, Georeference, write_georeference
@@ -30,7 +29,7 @@ def metres(places: Any) -> np.ndarray:
     return local_offsets(HERE, np.asarray(places, np.float64).reshape(-1, 3))
 
 
-def test_a_box_of_known_size_lies_where_it_should() -> None:
+def test_a_box_of_known_size_lies_where_it_should():
     center, extent = np.array([3.0, 5.0, 1.0]), np.array([4.0, 2.0, 0.5])
     document = earth_document(TURNED, center, UPRIGHT, extent)
     position = [document["position"][name] for name in ("longitude", "latitude", "height")]
@@ -41,7 +40,7 @@ def test_a_box_of_known_size_lies_where_it_should() -> None:
     assert {tuple(one) for one in corners.round(2)} == {(8, -10, 1.5), (12, -10, 1.5), (12, -2, 1.5), (8, -2, 1.5)}
 
 
-def test_a_footprint_goes_anticlockwise_and_holds_every_corner() -> None:
+def test_a_footprint_goes_anticlockwise_and_holds_every_corner():
     """RFC 7946: of a box that lies in no way upright, six corners are seen from above."""
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     (ring,) = earth_document(TURNED, np.zeros(3), turn, np.array([3.0, 2, 1]))["footprint"]["coordinates"]
@@ -52,7 +51,7 @@ def test_a_footprint_goes_anticlockwise_and_holds_every_corner() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(-5, 5), st.integers(-5, 5)), min_size=3, max_size=12, unique=True))
-def test_a_hull_holds_all_points_and_turns_left(points: list[tuple[int, int]]) -> None:
+def test_a_hull_holds_all_points_and_turns_left(points):
     places = np.array(points, np.float64)
     corners = places[hull(places)]
     ahead = np.roll(corners, -1, axis=0) - corners
@@ -62,7 +61,7 @@ def test_a_hull_holds_all_points_and_turns_left(points: list[tuple[int, int]]) -
     assert len(np.unique(corners, axis=0)) == len(corners)
 
 
-def test_without_a_georeference_nothing_is_said() -> None:
+def test_without_a_georeference_nothing_is_said():
     assert earth_document(None, np.zeros(3), UPRIGHT, np.ones(3)) == {}
 
 
@@ -78,7 +77,7 @@ def opened(folder: Path) -> Scene:
     return open_scene(folder, views=folder / "capture", threads=1)
 
 
-def test_the_command_line_tells_where_on_the_earth_matches_are(city: Path, capsys: Capture) -> None:
+def test_the_command_line_tells_where_on_the_earth_matches_are(city, capsys):
     matches = []
     for name, scene in (("tiled", "city.tiles"), ("whole", "scene.ply")):
         given = ["locate", str(city / name / "city.field"), "red mug", "--scene", str(city / name / scene)]
@@ -92,24 +91,22 @@ def test_the_command_line_tells_where_on_the_earth_matches_are(city: Path, capsy
     assert f"match 0 lies at {match['position']['latitude']:.7f}, " in capsys.readouterr().out
 
 
-def test_objects_and_services_tell_it_too(city: Path) -> None:
+def test_objects_and_services_tell_it_too(city):
     pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
     from drsplat.fronts.serving.models import matches_of, object_list
 
     scene = opened(city / "tiled")
     (match,) = matches_of(scene, scene.locate("red mug"))
     listed = object_list(scene, scene.objects).objects
-    assert match.position is not None
     assert {one.position.longitude for one in listed if one.position is not None} >= {match.position.longitude}
     assert all(one.footprint is not None and one.footprint.type == "Polygon" for one in listed)
 
 
-def test_a_georeference_in_the_capture_counts_and_a_damaged_one_is_an_error(city: Path, tmp_path: Path) -> None:
+def test_a_georeference_in_the_capture_counts_and_a_damaged_one_is_an_error(city, tmp_path):
     scene = write_city(tmp_path) / "tiled"
     assert opened(scene).georeference is None
     write_georeference(scene / "capture", TURNED)
     found = opened(scene).georeference
-    assert found is not None
     assert found.longitude == HERE[0]
     (scene / "capture" / NAME).write_text("{}")
     with pytest.raises(FormatError, match="drsplat georeference"):

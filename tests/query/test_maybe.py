@@ -20,7 +20,7 @@ SHARES = {0: 0.55, 1: 0.25, 2: 0.2}
 @pytest.mark.parametrize(
     ("short", "said"), [(-0.01, SURE), (0.01, MAYBE), (MAYBE_SPREADS - 0.01, MAYBE), (MAYBE_SPREADS + 0.01, NOTHING)]
 )
-def test_a_peak_that_nearly_stands_clear_is_a_maybe(short: float, said: str) -> None:
+def test_a_peak_that_nearly_stands_clear_is_a_maybe(short, said):
     margins = np.where(np.arange(1000) < PEAK_ROWS, CLEAR_MARGIN - short, -3.0)
     assert certainty_of(relevancies(margins), PEAK_ROWS, CLEAR_MARGIN) == said
 
@@ -45,13 +45,13 @@ def maybe_of(scenes: list[Scene]) -> tuple[Scene, Answer]:
     return next((scene, answer) for scene in scenes if (answer := scene.ask("word 1")).certainty == MAYBE)
 
 
-def test_certainty_falls_as_another_word_fits_better(scenes: list[Scene]) -> None:
+def test_certainty_falls_as_another_word_fits_better(scenes):
     ranks = [(SURE, MAYBE, NOTHING).index(scene.ask("word 1").certainty) for scene in scenes]
     assert ranks == sorted(ranks)
     assert set(ranks) == {0, 1, 2}
 
 
-def test_a_maybe_names_the_word_that_fits_better(scenes: list[Scene]) -> None:
+def test_a_maybe_names_the_word_that_fits_better(scenes):
     scene, maybe = maybe_of(scenes)
     assert maybe.doubt == "only maybe: 'word 9' fits as well or better"
     assert len(maybe.gaussian_ids) >= PEAK_ROWS
@@ -59,7 +59,7 @@ def test_a_maybe_names_the_word_that_fits_better(scenes: list[Scene]) -> None:
     assert (scene.ask("word 0").certainty, scene.ask("word 0").doubt) == (SURE, "")
 
 
-def test_what_is_present_is_found_whatever_fits_better(scenes: list[Scene]) -> None:
+def test_what_is_present_is_found_whatever_fits_better(scenes):
     for scene in scenes:
         plain, present = scene.ask("word 1"), scene.ask(Query("word 1", present=True))
         assert present.certainty == SURE
@@ -68,13 +68,13 @@ def test_what_is_present_is_found_whatever_fits_better(scenes: list[Scene]) -> N
             assert_array_equal(present.gaussian_ids, plain.gaussian_ids)
 
 
-def test_classes_take_no_maybe_unless_it_is_present(scenes: list[Scene]) -> None:
+def test_classes_take_no_maybe_unless_it_is_present(scenes):
     scene, _ = maybe_of(scenes)
     assert scene.segment(["word 1"]).counts == [0]
     assert scene.segment(["word 1"], Cut(present=True)).counts[0] > 0
 
 
-def test_a_rival_is_the_word_that_most_of_the_best_rows_fit() -> None:
+def test_a_rival_is_the_word_that_most_of_the_best_rows_fit():
     rng = np.random.default_rng(0)
     words = np.eye(6, 8, dtype=np.float32)
     rows = words[[1] * 50 + [2] * 50] + 0.01 * unit_rows(rng, 100, 8)
@@ -83,7 +83,7 @@ def test_a_rival_is_the_word_that_most_of_the_best_rows_fit() -> None:
     assert known.rival(words[4], np.repeat([0.1, 0.9], 50).astype(np.float32)) == 2
 
 
-def test_of_few_taught_words_a_maybe_fits_best_but_less_well_than_others_do() -> None:
+def test_of_few_taught_words_a_maybe_fits_best_but_less_well_than_others_do():
     """The features of thing 1 turn to what no word means: nothing fits it better than its own, which fits ever less."""
 
     class Taught(VocabularyEncoder):
@@ -115,7 +115,7 @@ def test_of_few_taught_words_a_maybe_fits_best_but_less_well_than_others_do() ->
      ("berries", "berry"), ("tv", "TV"), ("TV", "TV"), ("a mug", "a mug"),
      ("A Mug", "a mug")],
 )  # fmt: skip
-def test_a_vocabulary_knows_plurals_articles_and_capitals(said: str, text: str) -> None:
+def test_a_vocabulary_knows_plurals_articles_and_capitals(said, text):
     texts = ("mug", "glass", "toothbrush", "berry", "TV", "a mug")
     known = VocabularyEncoder(EncoderIdentity("some", 6), texts, np.eye(6, dtype=np.float32))
     assert_array_equal(known.encode_texts([said])[0], np.eye(6)[texts.index(text)])
@@ -126,7 +126,7 @@ def test_a_vocabulary_knows_plurals_articles_and_capitals(said: str, text: str) 
 KIND = ("canoe", "ferry", "kayak")
 
 
-def test_a_kind_is_found_by_its_names_and_these_are_no_rivals() -> None:
+def test_a_kind_is_found_by_its_names_and_these_are_no_rivals():
     """The word itself fits nothing: what stands under it does."""
     world = World(40)
     field, truth = field_and_truth(world, SHARES)
@@ -139,7 +139,7 @@ def test_a_kind_is_found_by_its_names_and_these_are_no_rivals() -> None:
     assert scene.ask("word 30").certainty == NOTHING
 
 
-def test_names_of_kinds() -> None:
+def test_names_of_kinds():
     assert {*KIND} <= names_under("boat") == names_under("a boat") == names_under("Boats")
     assert {"apple", "pear"} <= names_under("fruit")
     assert {"teddy bear"} <= names_under("toy")
@@ -147,7 +147,7 @@ def test_names_of_kinds() -> None:
     assert all(name in set(broad_list()) for kind in ("boat", "fruit", "tool") for name in names_under(kind))
 
 
-def test_a_kind_of_many_names_has_to_stand_higher() -> None:
+def test_a_kind_of_many_names_has_to_stand_higher():
     margins = np.where(np.arange(1000) < PEAK_ROWS, CLEAR_MARGIN + 0.01, -3.0)
     said = [certainty_of(relevancies(margins), PEAK_ROWS, CLEAR_MARGIN, names) for names in (1, 3, 100)]
     assert said == [SURE, MAYBE, NOTHING]

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from drsplat import Answer, Query, Scene
@@ -45,17 +46,17 @@ def slow_by_object(values: np.ndarray, things: np.ndarray) -> np.ndarray:
     st.integers(0, 5),
     st.integers(0, 2**32 - 1),
 )
-def test_a_thing_has_the_value_that_a_quarter_of_its_rows_reach(values: np.ndarray, count: int, seed: int) -> None:
-    things = np.random.default_rng(seed).integers(-1, count, len(values)).astype(np.int32)
+def test_a_thing_has_the_value_that_a_quarter_of_its_rows_reach(values, count, seed):
+    things = default_rng(seed).integers(-1, count, len(values)).astype(np.int32)
     whole = highest_share(values, things)
-    np.testing.assert_array_equal(whole, slow_by_object(values, things))
-    np.testing.assert_array_equal(highest_share(whole, things), whole)
+    assert_array_equal(whole, slow_by_object(values, things))
+    assert_array_equal(highest_share(whole, things), whole)
     for threshold in (-0.5, 0.0, 0.3):
         selected = values > threshold
         for number in range(count):
             mine = things == number
             is_meant = 4 * np.count_nonzero(selected[mine]) >= np.count_nonzero(mine)
-            np.testing.assert_array_equal(whole[mine] > threshold, is_meant)
+            assert_array_equal(whole[mine] > threshold, is_meant)
 
 
 @given(
@@ -63,37 +64,37 @@ def test_a_thing_has_the_value_that_a_quarter_of_its_rows_reach(values: np.ndarr
     st.integers(0, 5),
     st.integers(0, 2**32 - 1),
 )
-def test_a_row_that_stands_for_several_counts_as_these(values: np.ndarray, count: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_a_row_that_stands_for_several_counts_as_these(values, count, seed):
+    rng = default_rng(seed)
     things, counts = rng.integers(-1, count, len(values)).astype(np.int32), rng.integers(1, 9, len(values))
     whole = highest_share(values, things, counts)
     expected = slow_by_object(np.repeat(values, counts), np.repeat(things, counts))
-    np.testing.assert_array_equal(np.repeat(whole, counts), expected)
+    assert_array_equal(np.repeat(whole, counts), expected)
 
 
-def test_a_row_of_an_object_has_the_mean_of_its_own_value_and_the_objects(scene: Scene) -> None:
+def test_a_row_of_an_object_has_the_mean_of_its_own_value_and_the_objects(scene):
     field = scene.field
-    values = np.random.default_rng(0).random(len(field), np.float32)
+    values = default_rng(0).random(len(field), np.float32)
     things, pieces = field.objects.thing_of(), field.objects.piece_of()
     spoken = slow_by_object(values, things)
     in_piece = pieces >= 0
     spoken[in_piece] = np.maximum(spoken, slow_by_object(values, pieces))[in_piece]
     expected = (values + spoken) / 2
-    np.testing.assert_array_equal(by_object(field, values), expected)
+    assert_array_equal(by_object(field, values), expected)
 
 
-def test_a_piece_that_fits_better_than_its_thing_speaks_for_its_rows() -> None:
+def test_a_piece_that_fits_better_than_its_thing_speaks_for_its_rows():
     """Closed form: a quarter of thing 0 reaches 0.3, and of its piece 0.4; loose rows keep their own."""
     values = np.array([0.1, 0.2, 0.3, 0.4, 0.1, 0.8, 0.8, 0.5], np.float32)
     things = np.array([0, 0, 0, 0, 0, 1, 1, -1], np.int32)
     pieces = np.array([-1, -1, 1, 1, 1, -1, -1, -1], np.int32)
     got = of_objects(values, things, pieces)
     expected = [(0.1 + 0.3) / 2, (0.2 + 0.3) / 2, (0.3 + 0.4) / 2, (0.4 + 0.4) / 2, (0.1 + 0.4) / 2, 0.8, 0.8, 0.5]
-    np.testing.assert_allclose(got, expected, rtol=1e-6)
+    assert_allclose(got, expected, rtol=1e-6)
     assert (got >= of_objects(values, things, np.full(8, -1, np.int32))).all()
 
 
-def test_pieces_are_right_below_their_thing(scene: Scene) -> None:
+def test_pieces_are_right_below_their_thing(scene):
     """A part of a part counts for the piece that holds it; rows of no part are in none."""
     objects = scene.field.objects
     pieces, things = objects.piece_of(), objects.thing_of()
@@ -106,7 +107,7 @@ def test_pieces_are_right_below_their_thing(scene: Scene) -> None:
         assert pieces[row] == (parts[-1] if parts and things[row] >= 0 else -1)
 
 
-def test_parts_of_a_thing_of_nothing_else_choose_their_classes_for_themselves(scene: Scene) -> None:
+def test_parts_of_a_thing_of_nothing_else_choose_their_classes_for_themselves(scene):
     """Box 0 is its two halves; once some rows are in no half, it has one mean."""
     objects = scene.field.objects
     thing, (one, other) = objects.things[0], np.flatnonzero(objects.parents == objects.things[0])
@@ -114,21 +115,21 @@ def test_parts_of_a_thing_of_nothing_else_choose_their_classes_for_themselves(sc
     halves = [objects.node_of == node for node in (one, other)]
     got = for_comparing(scene.field, values)
     for half in halves:
-        np.testing.assert_allclose(got[half], values[half].mean(), rtol=1e-6)
+        assert_allclose(got[half], values[half].mean(), rtol=1e-6)
     node_of = objects.node_of.copy()
     node_of[:100] = thing
     whole = replace(scene.field, objects=replace(objects, node_of=node_of))
     assert (whole.objects.single_of()[:EACH] == thing).all()
-    np.testing.assert_allclose(for_comparing(whole, values)[:EACH], values[:EACH].mean(), rtol=1e-6)
-    np.testing.assert_array_equal(for_comparing(replace(scene.field, objects=None), values), values)
+    assert_allclose(for_comparing(whole, values)[:EACH], values[:EACH].mean(), rtol=1e-6)
+    assert_array_equal(for_comparing(replace(scene.field, objects=None), values), values)
 
 
-def test_a_field_without_objects_has_the_values_themselves(scene: Scene) -> None:
-    values = np.random.default_rng(0).random(len(scene.field), np.float32)
-    np.testing.assert_array_equal(by_object(replace(scene.field, objects=None), values), values)
+def test_a_field_without_objects_has_the_values_themselves(scene):
+    values = default_rng(0).random(len(scene.field), np.float32)
+    assert_array_equal(by_object(replace(scene.field, objects=None), values), values)
 
 
-def test_a_thing_that_fits_best_hides_no_other(scene: Scene) -> None:
+def test_a_thing_that_fits_best_hides_no_other(scene):
     """Box 0 reaches seven tenths of what box 1 does: more than the plain field's cut, which objects do not raise."""
     query = 0.7 * axis(0) + axis(1)
 
@@ -143,24 +144,24 @@ def test_a_thing_that_fits_best_hides_no_other(scene: Scene) -> None:
     assert sorted(match.object_id for match in found) == [0, 1]
 
 
-def test_loose_rows_keep_their_own_value(scene: Scene) -> None:
+def test_loose_rows_keep_their_own_value(scene):
     field = scene.field
     objects = field.objects
     node_of = objects.node_of.copy()
     node_of[::7] = -1
     loose = replace(field, objects=replace(objects, node_of=node_of))
-    values = np.random.default_rng(1).random(len(field), np.float32)
-    np.testing.assert_array_equal(by_object(loose, values)[::7], values[::7])
+    values = default_rng(1).random(len(field), np.float32)
+    assert_array_equal(by_object(loose, values)[::7], values[::7])
 
 
-def test_an_answer_is_whole_things_and_matches_say_which(scene: Scene) -> None:
+def test_an_answer_is_whole_things_and_matches_say_which(scene):
     (match,) = scene.locate(Query(vector=axis(1)))
     assert match.object_id == 1
-    np.testing.assert_array_equal(match.gaussian_ids, np.arange(EACH, 2 * EACH))
-    np.testing.assert_allclose(match.center, CENTERS[1], atol=0.1)
+    assert_array_equal(match.gaussian_ids, np.arange(EACH, 2 * EACH))
+    assert_allclose(match.center, CENTERS[1], atol=0.1)
 
 
-def test_two_things_that_touch_are_two_places() -> None:
+def test_two_things_that_touch_are_two_places():
     field, gaussians = with_objects()
     close = gaussians.means.copy()
     close[EACH : 2 * EACH, 0] -= 0.75
@@ -174,10 +175,10 @@ def test_two_things_that_touch_are_two_places() -> None:
     assert len(Scene(loose, near).locate(Answer.of(loose, values, 0.5))) == 1
 
 
-def test_a_point_finds_the_thing_that_is_there(scene: Scene) -> None:
+def test_a_point_finds_the_thing_that_is_there(scene):
     answer = scene.ask(Query(point=CENTERS[0]))
     assert answer.rule == "object"
-    np.testing.assert_array_equal(answer.gaussian_ids, np.arange(EACH))
+    assert_array_equal(answer.gaussian_ids, np.arange(EACH))
     (match,) = scene.locate(answer)
     assert match.object_id == 0
     assert match.support
@@ -185,20 +186,20 @@ def test_a_point_finds_the_thing_that_is_there(scene: Scene) -> None:
     assert alike.rule == "given"
 
 
-def test_a_label_is_exactly_what_was_named(tmp_path: Path) -> None:
+def test_a_label_is_exactly_what_was_named(tmp_path):
     field, gaussians = with_objects()
     named = Scene(field, gaussians, labels=LabelFile.beside(tmp_path / "known.field"))
     named.label(field.objects.thing(2), "Grandmother's chest")
     answer = named.ask("grandmother's CHEST")
     assert answer.rule == "label"
-    np.testing.assert_array_equal(answer.gaussian_ids, field.gaussian_ids[field.objects.rows(4)])
+    assert_array_equal(answer.gaussian_ids, field.gaussian_ids[field.objects.rows(4)])
     (match,) = named.locate(answer)
     assert (match.object_id, match.label) == (2, "Grandmother's chest")
     with pytest.raises(ds.DrSplatError):  # any other text needs an encoder
         named.ask("chest")
 
 
-def test_what_is_excluded_is_excluded_in_whole_things(scene: Scene) -> None:
+def test_what_is_excluded_is_excluded_in_whole_things(scene):
     """A fake encoder of axes: "a" is box 0, "a b" fits box 1 as well."""
     vectors = {"a": axis(0) + axis(1), "b a": axis(1)}
 
@@ -225,7 +226,7 @@ class Axes:
         return np.asarray(sums / np.linalg.norm(sums, axis=1, keepdims=True), np.float32)
 
 
-def test_nothing_is_found_where_words_of_the_list_fit_every_gaussian_better(scene: Scene) -> None:
+def test_nothing_is_found_where_words_of_the_list_fit_every_gaussian_better(scene):
     """All relevancies are below 0.5, which is not to say that the best of them stands out."""
     listed = scene.field.with_contrast(np.stack([axis(k) for k in range(4)]), ("0", "1", "2", "3"))
     asked = Scene(listed, scene.gaussians, encoder=Axes())
@@ -236,9 +237,9 @@ def test_nothing_is_found_where_words_of_the_list_fit_every_gaussian_better(scen
     assert not asked.locate("0 7")
 
 
-def test_loose_gaussians_at_an_object_are_its_border() -> None:
+def test_loose_gaussians_at_an_object_are_its_border():
     """Of two loose places one lies about object 3, the other by itself."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     thing, border, away = rng.normal(size=(300, 3)), 1.2 * rng.normal(size=(40, 3)), rng.normal(size=(40, 3)) + 40
     points = np.concatenate([thing, border, away])
     places = np.repeat([3, -1, -2], [300, 40, 40])

@@ -25,48 +25,44 @@ def field_of(pictures: np.ndarray) -> LanguageField:
 
 
 def names_of(field: LanguageField, words: tuple[str, ...] = ()) -> list[str | None]:
-    assert field.objects is not None
     return object_names(ENCODER, field, field.objects.things.tolist(), words)
 
 
-def test_a_word_that_fits_as_well_as_another_is_no_name() -> None:
+def test_a_word_that_fits_as_well_as_another_is_no_name():
     between = 1.0 * VECTORS[1] + 0.98 * VECTORS[2]
     things = np.stack([VECTORS[0], between, VECTORS[3]])
     assert names_of(field_of(things[MASKS])) == ["word 0", None, "word 3"]
 
 
-def test_words_that_are_given_have_to_be_better_than_the_whole_list() -> None:
+def test_words_that_are_given_have_to_be_better_than_the_whole_list():
     field = field_of(VECTORS[[0, 5, 3]][MASKS])
     assert names_of(field, ("word 0", "word 3")) == ["word 0", None, "word 3"]
 
 
-def test_the_looks_of_few_masks_give_no_name() -> None:
+def test_the_looks_of_few_masks_give_no_name():
     """One mask of four shows something else, as wrong masks do, and fits a word better than the others fit theirs."""
     faint = VECTORS[0] + 0.5 * VECTORS[10:18].sum(0)
     things = np.stack([faint, VECTORS[2], VECTORS[3]])[MASKS]
     things[6] = VECTORS[7]
     field = field_of(things)
-    assert field.objects is not None
     node = field.objects.thing(0)
     assert len(field.objects.descriptors_of(node)) == 2
     assert int((field.objects.descriptors_of(node) @ VECTORS.T).max(0).argmax()) == 7
     assert names_of(field)[0] == "word 0"
 
 
-def test_words_that_mean_the_same_do_not_compete() -> None:
+def test_words_that_mean_the_same_do_not_compete():
     same = VECTORS[0] + 0.05 * VECTORS[9]
     vectors = np.stack([*VECTORS, same / np.linalg.norm(same)])
     encoder = VocabularyEncoder(ENCODER.identity, [*WORDS, "synonym"], vectors)
     field = field_of(VECTORS[[0, 2, 3]][MASKS])
-    assert field.objects is not None
     assert object_names(encoder, field, field.objects.things.tolist())[0] == "word 0"
 
 
 @pytest.mark.parametrize(("shown", "name"), [("red mug", "red mug"), ("mug", "mug"), ("floor", "floor")])
-def test_nouns_and_colours_are_sure_each_for_itself(shown: str, name: str) -> None:
+def test_nouns_and_colours_are_sure_each_for_itself(shown, name):
     mini = MiniEncoder()
     texts = [shown, "blue sofa", "green table"]
     field = known_field(known_scene(), mini.encode_texts(texts)[MASKS].astype(np.float32), mini.identity)
     field = field.with_objects(described(field, known_scene()))
-    assert field.objects is not None
     assert object_names(mini, field, field.objects.things.tolist())[0] == name

@@ -12,7 +12,7 @@ from drsplat.query.sketch import Packed
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 4, 24, 513])
 @pytest.mark.parametrize("count", [0, 7])
-def test_numbers_are_packed_in_six_bits(dim: int, count: int) -> None:
+def test_numbers_are_packed_in_six_bits(dim, count):
     numbers = np.random.default_rng(dim).integers(-31, 32, (count, dim)).astype(np.float32)
     numbers[:1] = 31
     packed = Packed.of(numbers / 64)
@@ -23,13 +23,13 @@ def test_numbers_are_packed_in_six_bits(dim: int, count: int) -> None:
 
 
 @given(arrays(np.float32, st.tuples(st.integers(0, 9), st.integers(1, 9)), elements=st.floats(-1, 1, width=32)))
-def test_numbers_are_off_by_half_a_step_at_most(vectors: np.ndarray) -> None:
+def test_numbers_are_off_by_half_a_step_at_most(vectors):
     packed = Packed.of(vectors)
     assert (np.abs(packed.vectors - vectors) <= 0.5001 * packed.steps).all()
 
 
 @given(st.integers(0, 9), st.integers(1, 40), st.integers(0, 4), st.integers(0, 2**32 - 1))
-def test_products_are_those_of_the_vectors(count: int, dim: int, queries: int, seed: int) -> None:
+def test_products_are_those_of_the_vectors(count, dim, queries, seed):
     rng = np.random.default_rng(seed)
     packed = Packed(rng.integers(0, 256, (count, 3 * -(-dim // 4)), np.uint8), rng.random(dim, np.float32))
     given_ones = rng.standard_normal((queries, dim)).astype(np.float32)
@@ -50,6 +50,6 @@ def test_products_are_those_of_the_vectors(count: int, dim: int, queries: int, s
         (np.zeros((2, 3), np.uint8), np.array([0, 1, 1, -1], np.float32)),
     ],
 )
-def test_other_arrays_are_refused(data: np.ndarray, steps: np.ndarray) -> None:
+def test_other_arrays_are_refused(data, steps):
     with pytest.raises(ValueError, match="expected"):
         Packed.checked(data, steps, 4)

@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drsplat import Encoder, EncoderIdentity, MiniEncoder, Query, WordEncoder
-from drsplat.errors import InputError, MismatchError
+from drsplat.errors import MismatchError
 from drsplat.query.ranking import Described, Surroundings
+from refusing import refused
 
 NOUNS = ("mug", "table", "lamp", "plant", "chair", "book")
 PICTURE = np.full(512, 512**-0.5, np.float32)  # what all pictures have and no words do
@@ -52,7 +53,7 @@ def ranked(encoder: Encoder, query: Query, described: Described, usual: np.ndarr
     return found.values.tolist(), found.selected.tolist()
 
 
-def test_an_object_is_as_good_as_its_best_descriptor() -> None:
+def test_an_object_is_as_good_as_its_best_descriptor():
     words = WordEncoder().encode_texts(["red mug", "table", "lamp", "mug"])
     described = objects(words[[1, 0]], words[[2]], words[[3, 1, 2]])
     assert_allclose(described.best(np.arange(6, dtype=np.float32)), [1, 2, 5])
@@ -60,7 +61,7 @@ def test_an_object_is_as_good_as_its_best_descriptor() -> None:
     assert objects().best(np.empty(0, np.float32)).shape == (0,)
 
 
-def test_an_encoder_with_a_threshold() -> None:
+def test_an_encoder_with_a_threshold():
     """ "mug" fits a red one and a blue one alike; "red mug" only one of them, for it is cut at 0.8 of the best."""
     words = WordEncoder().encode_texts(["red mug", "blue mug", "lamp"])
     described = objects(*words[:, None])
@@ -70,7 +71,7 @@ def test_an_encoder_with_a_threshold() -> None:
     assert ranked(WordEncoder(), Query("mug", exclude=("blue",)), described, words)[1] == [True, False, False]
 
 
-def test_a_kind_finds_its_names_and_these_are_no_rivals() -> None:
+def test_a_kind_finds_its_names_and_these_are_no_rivals():
     class Boats(ClipLike):
         nouns = (*NOUNS, "canoe", "ferry")
 
@@ -82,18 +83,18 @@ def test_a_kind_finds_its_names_and_these_are_no_rivals() -> None:
     assert not any(ranked(Boats(), Query("boat"), none, things)[1])
 
 
-def test_a_sentence_is_never_read_as_its_nouns() -> None:
+def test_a_sentence_is_never_read_as_its_nouns():
     words = WordEncoder().encode_texts(["red mug", "blue mug", "table"])
     described = objects(*words[:, None])
-    with pytest.raises(InputError, match=r"'the mug on the table': a catalogue .* ask it for 'mug'"):
+    with refused(r"'the mug on the table': a catalogue .* ask it for 'mug'"):
         ranked(WordEncoder(), Query("the mug on the table"), described, words)
-    with pytest.raises(InputError, match="'behind' is not understood"):
+    with refused("'behind' is not understood"):
         ranked(WordEncoder(), Query("mug behind the table"), described, words)
     assert ranked(WordEncoder(), Query("how many mugs are there?"), described, words)[1] == [True, True, False]
     assert ranked(WordEncoder(), Query("mug that is not blue"), described, words)[1] == [True, False, False]
 
 
-def test_words_are_held_against_a_list() -> None:
+def test_words_are_held_against_a_list():
     """A cosine of 0.2 is much for a text and a picture: whether it fits is told by how far other words reach."""
     things = pictured(*NOUNS)
     described = objects(*things[:, None])
@@ -106,7 +107,7 @@ def test_words_are_held_against_a_list() -> None:
     assert ranked(ClipLike(), Query("lamp", threshold=0.0), described, things)[1] == [True] * len(NOUNS)
 
 
-def test_the_built_in_encoder_finds_what_it_names_and_nothing_else() -> None:
+def test_the_built_in_encoder_finds_what_it_names_and_nothing_else():
     encoder = MiniEncoder()
     vectors = encoder.encode_texts(["red mug", "blue sofa", "wooden table", "green plant"])
     described = objects(*vectors[:, None])
@@ -116,7 +117,7 @@ def test_the_built_in_encoder_finds_what_it_names_and_nothing_else() -> None:
     assert not any(ranked(encoder, Query("red vase"), objects(*weak[1:3, None]), vectors)[1])
 
 
-def test_a_colour_has_to_stand_as_clearly_above_the_others_as_in_a_scene() -> None:
+def test_a_colour_has_to_stand_as_clearly_above_the_others_as_in_a_scene():
     """What is red and a little pink is red; where it is 0.45 to 0.6 spreads above pink, neither is said."""
     encoder, selected = MiniEncoder(), {}
     red, pink, blue = encoder.encode_texts([f"something {color}" for color in ("red", "pink", "blue")])
@@ -130,7 +131,7 @@ def test_a_colour_has_to_stand_as_clearly_above_the_others_as_in_a_scene() -> No
     assert any(0.45 < margin < 0.6 for margin in selected)
 
 
-def test_relevancy() -> None:
+def test_relevancy():
     words = WordEncoder().encode_texts(["red mug", "lamp", "stuff"])
     described = objects(*words[:, None])
     values, _ = ranked(WordEncoder(), Query("red mug", relevancy=True), described, words)
@@ -141,7 +142,7 @@ def test_relevancy() -> None:
     assert own[1] == [False, False, own[1][2]]
 
 
-def test_a_vector_is_cut_between_what_is_usual_and_the_best() -> None:
+def test_a_vector_is_cut_between_what_is_usual_and_the_best():
     rng = np.random.default_rng(0)
     usual = rng.standard_normal((200, 512)).astype(np.float32)
     usual /= np.linalg.norm(usual, axis=1, keepdims=True)
@@ -153,19 +154,19 @@ def test_a_vector_is_cut_between_what_is_usual_and_the_best() -> None:
     assert selected == [True, bool(near @ usual[0] > 0.8), False]
 
 
-def test_nothing_to_choose_from() -> None:
+def test_nothing_to_choose_from():
     none = np.empty((0, 512), np.float32)
     for encoder in (WordEncoder(), ClipLike(), MiniEncoder()):
         for query in (Query("mug"), Query("mug, not red"), Query(vector=PICTURE), Query("mug", relevancy=True)):
             assert ranked(encoder, query, objects(), none) == ([], [])
 
 
-def test_what_cannot_be_asked() -> None:
+def test_what_cannot_be_asked():
     surroundings = Surroundings(Embedded(EncoderIdentity("other", 512)), WordEncoder, np.empty((0, 512), np.float32))
     with pytest.raises(MismatchError, match="another encoder"):
         surroundings.vector(Query("mug"))
     for vector in (np.zeros(512), np.full(512, np.nan)):
-        with pytest.raises(InputError, match="finite and not zero"):
+        with refused("finite and not zero"):
             surroundings.vector(Query(vector=vector.astype(np.float32)))
-    with pytest.raises(InputError, match="a query that never asks them has no answer"):
+    with refused("a query that never asks them has no answer"):
         surroundings.vector(Query("mug", objects="never"))

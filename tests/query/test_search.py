@@ -9,20 +9,21 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from drsplat import Gaussians, LanguageField, View, WordEncoder
-from drsplat.errors import InputError, MismatchError
+from drsplat.errors import MismatchError
 from drsplat.kernels import splat_arrays, topk_contributions
 from drsplat.query import Answer, Query, Scene
 from drsplat.query.search import NEGATIVES, UNSELECTED_COSINE, embed_query, split_negation, text_negatives, without
 from drsplat.scene.encoders import EncoderIdentity
 from fields import ToyEncoder, toy_field
 from furnished.story import Story
+from refusing import refused
 
 
 def relevancy_of(scene: Scene, text: str) -> Answer:
     return scene.ask(Query(text, relevancy=True))
 
 
-def test_an_answer_is_the_fields_own_scores_and_relevancy() -> None:
+def test_an_answer_is_the_fields_own_scores_and_relevancy():
     field, encoder = toy_field(), ToyEncoder()
     answer = relevancy_of(Scene(field, encoder=encoder), "a red apple")
     vector = embed_query(encoder, field, "a red apple")
@@ -33,11 +34,11 @@ def test_an_answer_is_the_fields_own_scores_and_relevancy() -> None:
     assert answer.values.min() < 0.5 < answer.values.max()
 
 
-def test_the_negatives_are_those_of_lerf() -> None:
+def test_the_negatives_are_those_of_lerf():
     assert NEGATIVES == ("object", "things", "stuff", "texture")
 
 
-def test_negatives_are_embedded_once() -> None:
+def test_negatives_are_embedded_once():
     encoder = ToyEncoder()
     plain = toy_field()
     field = plain.with_negatives(encoder.encode_texts(NEGATIVES), NEGATIVES)
@@ -50,17 +51,17 @@ def test_negatives_are_embedded_once() -> None:
     assert text_negatives(field, encoder) is field.negatives
 
 
-def test_another_encoder_and_no_negatives_are_refused() -> None:
+def test_another_encoder_and_no_negatives_are_refused():
     field, other = toy_field(), ToyEncoder(EncoderIdentity("other", 32))
     with pytest.raises(MismatchError, match="written with toy"):
         embed_query(other, field, "sofa")
     with pytest.raises(MismatchError, match="written with toy"):
         Scene(field, encoder=other).ask("sofa")
-    with pytest.raises(InputError, match="at least one negative"):
+    with refused("at least one negative"):
         Scene(field, encoder=ToyEncoder()).ask(Query("sofa", negatives=()))
 
 
-def test_query_vectors_are_float32_of_the_fields_dimension() -> None:
+def test_query_vectors_are_float32_of_the_fields_dimension():
     vector = embed_query(ToyEncoder(), toy_field(), "sofa")
     assert (vector.shape, vector.dtype) == ((32,), np.float32)
 
@@ -79,24 +80,22 @@ def test_query_vectors_are_float32_of_the_fields_dimension() -> None:
         ("knotted rope, nothing else", "knotted rope, nothing else", ()),
     ],
 )
-def test_a_text_says_what_is_not_meant(text: str, wanted: str, unwanted: tuple[str, ...]) -> None:
+def test_a_text_says_what_is_not_meant(text, wanted, unwanted):
     assert split_negation(text) == (wanted, unwanted)
 
 
 @pytest.mark.parametrize("text", [", not red", "mug, not ", "mug, not red, not "])
-def test_a_negation_of_nothing_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="mug, not red"):
+def test_a_negation_of_nothing_is_refused(text):
+    with refused("mug, not red"):
         split_negation(text)
 
 
 WORDS = ("red", "blue", "mug", "plate", "wooden", "old")
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True)
 @given(st.sets(st.sampled_from(WORDS)), st.sampled_from(WORDS[:2]), st.sets(st.sampled_from(WORDS[2:]), min_size=1))
-def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(
-    more: set[str], unwanted: str, wanted: set[str]
-) -> None:
+def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(more, unwanted, wanted):
     """With texts as sums of words: s(n p) > s(p) where n is among a thing's words, as sqrt(p + 1) > sqrt(p)."""
     encoder, said_of_it = WordEncoder(), wanted | more
     query = " ".join(sorted(wanted))
@@ -107,12 +106,12 @@ def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(
     assert left_out == (unwanted in said_of_it)
 
 
-def test_without_keeps_what_fits_better_than_every_rival() -> None:
+def test_without_keeps_what_fits_better_than_every_rival():
     scores, rivals = np.array([0.3, 0.3, 0.3], np.float32), np.array([0.2, 0.3, 0.4], np.float32)
     assert_array_equal(without(scores, rivals), np.array([0.3, -1, -1], np.float32))
 
 
-def test_queries_leave_out_what_is_not_meant() -> None:
+def test_queries_leave_out_what_is_not_meant():
     field, encoder = toy_field(), ToyEncoder()
     scene = Scene(field, encoder=encoder)
     plain, answer = scene.ask("apple"), scene.ask("apple, not red, not old")
@@ -133,7 +132,7 @@ def clicked(story: Story) -> tuple[LanguageField, Gaussians, View]:
     return story.field, story.gaussians, story.views[4]
 
 
-def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(clicked):
     field, gaussians, view = clicked
     top = topk_contributions(splat_arrays(gaussians), view, 1)
     rng, seen = np.random.default_rng(0), 0
@@ -148,7 +147,7 @@ def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(clicked: tuple[La
     assert seen > 5
 
 
-def test_a_click_passes_over_gaussians_without_feature(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+def test_a_click_passes_over_gaussians_without_feature(clicked):
     field, gaussians, view = clicked
     top = topk_contributions(splat_arrays(gaussians), view, 2)
     row, column = np.argwhere((top.ids >= 0).all(-1) & np.isin(top.ids, field.gaussian_ids).all(-1))[0]
@@ -166,20 +165,20 @@ def test_a_click_passes_over_gaussians_without_feature(clicked: tuple[LanguageFi
     assert_array_equal(feature, fewer.feature(np.array([at]))[0])
 
 
-def test_clicks_at_nothing_and_outside_are_refused(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+def test_clicks_at_nothing_and_outside_are_refused(clicked):
     field, gaussians, view = clicked
     for xy in ((-0.1, 5.0), (320.0, 5.0), (5.0, 240.0)):
-        with pytest.raises(InputError, match="outside of view"):
+        with refused("outside of view"):
             feature_at(field, gaussians, view, xy)
     away = view.cam_from_world.copy()
     away[:3] = np.diag([1, -1, -1]) @ away[:3]  # about-turn
-    with pytest.raises(InputError, match="click elsewhere"):
+    with refused("click elsewhere"):
         feature_at(field, gaussians, replace(view, cam_from_world=away), (5.0, 5.0))
     with pytest.raises(MismatchError, match="belongs to a scene"):
         feature_at(field, gaussians.subset(np.arange(10)), view, (5.0, 5.0))
 
 
-def test_weights_at_pixels_are_those_of_the_kernel(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+def test_weights_at_pixels_are_those_of_the_kernel(clicked):
     field, gaussians, view = clicked
     scene = Scene(field, gaussians, [view])
     whole = topk_contributions(splat_arrays(gaussians), view, 5)
@@ -196,7 +195,7 @@ def test_weights_at_pixels_are_those_of_the_kernel(clicked: tuple[LanguageField,
     assert (scene.weights_at(view, pixels, 1).weights[:, 0] == found.weights[:, 0]).all()
     assert scene.weights_at(view, [], 3).weights.shape == (0, 3)
     for wrong, said in (([(-1.0, 2.0)], "outside of view"), ([(1.0, np.nan)], "two finite numbers")):
-        with pytest.raises(InputError, match=said):
+        with refused(said):
             scene.weights_at(view, wrong)
-    with pytest.raises(InputError, match="positive"):
+    with refused("positive"):
         scene.weights_at(view, [(1.0, 1.0)], 0)

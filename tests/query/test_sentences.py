@@ -8,7 +8,6 @@ from scipy.sparse import csr_array
 from test_objects_relations import THINGS, UP, room  # noqa: F401
 
 from drsplat import EncoderIdentity, Gaussians, Match, Query, Scene, View
-from drsplat.errors import InputError
 from drsplat.field import build_field
 from drsplat.field.codes import Mixture
 from drsplat.field.evidence.evidence import Evidence, MaskIds
@@ -16,6 +15,7 @@ from drsplat.field.objects.finding import find_objects
 from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.photos.models.word_list import broad_list
 from drsplat.query.sentences import Sentence, parsed
+from refusing import refused
 
 WORDS = ("table", "bowl", "apple", "mug", "plate", "lamp", "chair")
 LISTED = (*WORDS, *(f"other {n}" for n in range(17)))
@@ -56,19 +56,19 @@ LISTED = (*WORDS, *(f"other {n}" for n in range(17)))
         ("over ear headphones", ("over ear headphones",)),
     ],
 )
-def test_what_is_understood(said: str, meant: tuple) -> None:
+def test_what_is_understood(said, meant):
     assert parsed(said) == Sentence(*meant)
 
 
-def test_no_name_of_the_list_is_a_sentence() -> None:
+def test_no_name_of_the_list_is_a_sentence():
     assert [name for name in broad_list() if parsed(name).text != name or parsed(name).relation] == []
 
 
 @pytest.mark.parametrize(
     "said", ["mug behind the laptop", "cup in front of the box", "the largest book", "book between the lamps"]
 )
-def test_what_is_not_understood_is_refused(said: str) -> None:
-    with pytest.raises(InputError, match="expected"):
+def test_what_is_not_understood_is_refused(said):
+    with refused("expected"):
         parsed(said)
 
 
@@ -117,30 +117,30 @@ def found(scene: Scene, text: str) -> set[str]:
         ("how many chairs are there?", {"chair below", "chair beside", "chair far away"}),
     ],
 )
-def test_what_is_found(said: str, meant: set[str], scene: Scene) -> None:
+def test_what_is_found(said, meant, scene):
     text = said.replace("chairs", "chair")  # this vocabulary has no plurals
     assert found(scene, text) == meant
     assert sum(match.sure for match in scene.locate(text)) == len(meant)
 
 
-def test_sides_are_those_of_a_photo_that_is_named(scene: Scene) -> None:
+def test_sides_are_those_of_a_photo_that_is_named(scene):
     assert scene.ask("plate left of the mug").seen_from == "south.jpg"
     assert scene.ask("mug on the table").seen_from == ""
 
 
-def test_nothing_lies_on_what_is_not_there(scene: Scene) -> None:
+def test_nothing_lies_on_what_is_not_there(scene):
     answer = scene.ask("mug on the other 3")
     assert not len(answer.gaussian_ids)
     assert answer.doubt == "no match for 'other 3', so nothing can be on it"
 
 
-def test_without_up_only_sides_can_be_told(scene: Scene) -> None:
+def test_without_up_only_sides_can_be_told(scene):
     lying = Scene(replace(scene.field, up=None), scene.gaussians, [], scene.encoder)
-    with pytest.raises(InputError, match="which way is up"):
+    with refused("which way is up"):
         lying.ask("mug on the table")
 
 
-def test_a_text_of_a_vocabulary_stands_for_itself(scene: Scene) -> None:
+def test_a_text_of_a_vocabulary_stands_for_itself(scene):
     vectors = np.eye(len(LISTED), dtype=np.float32)
     texts = ("mug on the table", *LISTED[1:])
     encoder = VocabularyEncoder(scene.field.encoder, texts, vectors)
@@ -148,5 +148,5 @@ def test_a_text_of_a_vocabulary_stands_for_itself(scene: Scene) -> None:
     assert found(own, "mug on the table") == {"table"}  # whose vector it has here
 
 
-def test_the_rest_of_the_query_stays(scene: Scene) -> None:
+def test_the_rest_of_the_query_stays(scene):
     assert len(scene.ask(Query("mug on the table", threshold=2.0)).gaussian_ids) == 0

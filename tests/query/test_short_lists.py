@@ -24,9 +24,7 @@ def field_of_words() -> LanguageField:
     return known_field(known_scene(), seen[[0, 1, 2, 0, 1, 2, 0, 0, 1, 2]].astype(np.float32), WORDS.identity)
 
 
-def test_the_recipe_of_the_docs_makes_a_list_that_is_long_enough(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_recipe_of_the_docs_makes_a_list_that_is_long_enough(tmp_path, monkeypatch):
     (recipe,) = re.findall(r"```python\n(import json.*?)```", SEARCH.read_text(encoding="utf-8"), re.DOTALL)
     monkeypatch.chdir(tmp_path)
     exec(re.sub(r'load_encoder\(".*?"\)', 'load_encoder("drsplat-words")', recipe), {})
@@ -54,9 +52,7 @@ def saved(folder: Path, kept: bool = False) -> Path:
 @pytest.mark.parametrize(("count", "kept", "doubted"), [
     (ENOUGH_TEXTS - 1, False, True), (ENOUGH_TEXTS, False, False), (2, True, False),
 ])  # fmt: skip
-def test_a_short_list_is_doubted_once_by_every_verb(
-    count: int, kept: bool, doubted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_short_list_is_doubted_once_by_every_verb(count, kept, doubted, tmp_path, capsys):
     """A field that keeps a list of its own needs no long one."""
     told = f"warning: {texts_file(tmp_path, count)}: only {count} texts tell what a word does not mean"
     field = str(saved(tmp_path, kept))
@@ -65,7 +61,7 @@ def test_a_short_list_is_doubted_once_by_every_verb(
         assert capsys.readouterr().err.count(told) == doubted, verb
 
 
-def test_in_python_it_is_a_warning_and_the_answer_stays(tmp_path: Path) -> None:
+def test_in_python_it_is_a_warning_and_the_answer_stays(tmp_path):
     scene = open_scene(saved(tmp_path), vocabulary=str(texts_file(tmp_path, 8)))
     with pytest.warns(DrSplatWarning, match="add names of any things, 100 texts or more"):
         answer = scene.ask("red mug")
@@ -76,7 +72,7 @@ def test_in_python_it_is_a_warning_and_the_answer_stays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("count", "doubted"), [(8, True), (ENOUGH_TEXTS, False)])
-def test_clients_of_http_and_tools_are_told_beside_the_answer(count: int, doubted: bool) -> None:
+def test_clients_of_http_and_tools_are_told_beside_the_answer(count, doubted):
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving import worker
     from drsplat.fronts.serving.conversation import tool_answer

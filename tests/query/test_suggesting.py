@@ -10,7 +10,7 @@ from drsplat.query.suggesting import missed_text, suggestions, words_instead
 from viewing_scenes import THINGS, boxes_scene
 
 
-def test_words_that_match_come_in_the_order_of_their_likeness_to_the_query() -> None:
+def test_words_that_match_come_in_the_order_of_their_likeness_to_the_query():
     scene = boxes_scene()
     answer = scene.ask("tall mug")
     words = ("elephant", "blue mug", "tall lamp", "red mug", "green sofa")
@@ -24,7 +24,7 @@ def test_words_that_match_come_in_the_order_of_their_likeness_to_the_query() -> 
     assert words_instead(scene, answer, ("elephant", "green sofa")) == []
 
 
-def test_no_words_are_known_without_a_vector_or_an_encoder() -> None:
+def test_no_words_are_known_without_a_vector_or_an_encoder():
     scene = boxes_scene()
     answer = scene.ask("elephant")
     assert words_instead(scene, replace(answer, vector=None)) == []
@@ -39,7 +39,7 @@ def test_no_words_are_known_without_a_vector_or_an_encoder() -> None:
         (-2.0, 0.5, ""),  # all of it was left out
     ],
 )
-def test_how_near_a_query_came_is_said(best: float, threshold: float, said: str) -> None:
+def test_how_near_a_query_came_is_said(best, threshold, said):
     scene = boxes_scene()
     values = np.full(len(scene.field), -2.0, np.float32)
     values[7] = best

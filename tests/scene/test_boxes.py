@@ -1,12 +1,12 @@
 """Boxes hold the thing, stand upright, and are not stretched by strays."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
@@ -31,7 +31,7 @@ SIZE = (0.6, 0.3, 0.9)
 
 def shell(size=SIZE, turn: float = 0.0, count: int = 4000, seed: int = 0) -> Gaussians:
     """The surface of a cuboid, as trained scenes have it: flat Gaussians that lie on its faces."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     area = np.array([size[1] * size[2], size[0] * size[2], size[0] * size[1]])
     face = rng.choice(3, count, p=area / area.sum())
     points = rng.uniform(-0.5, 0.5, (count, 3))
@@ -53,9 +53,9 @@ def everything(gaussians: Gaussians, up: np.ndarray | None = UP) -> Box:
     return box_of(gaussians, np.arange(len(gaussians)), up)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(0, 180))
-def test_a_cuboid_is_found_whichever_way_it_is_turned(turn: float) -> None:
+def test_a_cuboid_is_found_whichever_way_it_is_turned(turn):
     found = everything(shell(turn=turn))
     assert_allclose(found.center, 0, atol=0.01)
     assert_allclose(found.extent, SIZE, atol=0.04)
@@ -66,7 +66,7 @@ def test_a_cuboid_is_found_whichever_way_it_is_turned(turn: float) -> None:
     assert abs(found.axes[0] @ along) > 0.99
 
 
-def test_a_flat_thing_has_the_size_of_its_gaussians() -> None:
+def test_a_flat_thing_has_the_size_of_its_gaussians():
     """Of one large Gaussian in the middle the centres know nothing."""
     one = replace(random_gaussians(1), scales=np.array([[0.5, 0.2, 0.01]], np.float32))
     one = replace(one, quats=np.array([[1, 0, 0, 0]], np.float32))
@@ -75,7 +75,7 @@ def test_a_flat_thing_has_the_size_of_its_gaussians() -> None:
     assert_allclose(everything(one, None).extent[0], expected[0], rtol=1e-5)
 
 
-def test_strays_and_haze_do_not_stretch_it() -> None:
+def test_strays_and_haze_do_not_stretch_it():
     thing = shell()
     stray = thing.means.copy()
     stray[:8] += np.float32(5)
@@ -87,7 +87,7 @@ def test_strays_and_haze_do_not_stretch_it() -> None:
     assert_allclose(everything(dirty).extent, everything(clean).extent, atol=0.03)
 
 
-def test_a_tail_goes_where_it_is_sparse_and_light() -> None:
+def test_a_tail_goes_where_it_is_sparse_and_light():
     """To 101 points a hundredth apart, one more is a tail of 1 % of the mass, worth 8 % of the length."""
     row = np.linspace(0, 1, 101)
 
@@ -107,7 +107,7 @@ def knife(halo: int, seed: int = 2) -> Gaussians:
     """A flat blade and its handle, 0.27 x 0.03 x 0.03, in a halo of the table around it."""
     blade = shell((0.27, 0.03, 0.03), turn=25, count=500)
     blade = replace(blade, scales=blade.scales * np.float32(0.1))
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     angles, far = rng.uniform(0, 2 * np.pi, halo), rng.uniform(0.03, 0.09, halo)
     means = np.stack([far * np.cos(angles), far * np.sin(angles), rng.uniform(-0.09, 0.09, halo)], axis=1)
     ids = np.arange(halo)
@@ -123,7 +123,7 @@ def knife(halo: int, seed: int = 2) -> Gaussians:
 
 @pytest.mark.parametrize("up", [None, UP])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_halo_of_a_thin_thing_neither_widens_nor_turns_its_box(up: np.ndarray | None, seed: int) -> None:
+def test_the_halo_of_a_thin_thing_neither_widens_nor_turns_its_box(up, seed):
     clean, found = everything(knife(0), up), everything(knife(20, seed), up)
     assert_allclose(found.extent, clean.extent, atol=0.012)
     assert abs(found.axes[0] @ clean.axes[0]) > np.cos(np.radians(2))
@@ -131,24 +131,24 @@ def test_the_halo_of_a_thin_thing_neither_widens_nor_turns_its_box(up: np.ndarra
 
 @pytest.mark.parametrize("up", [None, UP, np.array([0.6, 0, 0.8])])
 @pytest.mark.parametrize("count", [3, 40, 900])
-def test_native_is_the_twin(up: np.ndarray | None, count: int) -> None:
+def test_native_is_the_twin(up, count):
     scene = replace(random_gaussians(1000), origin=np.array([5.0, 0, -7]))
-    ids = np.random.default_rng(count).choice(1000, count, replace=False)
+    ids = default_rng(count).choice(1000, count, replace=False)
     for fast, slow in zip(box_of(scene, ids, up), twin.box_of(scene, ids, up), strict=True):
         assert_allclose(fast, slow, atol=2e-6)
 
 
 @pytest.mark.parametrize("up", [None, UP])
 @pytest.mark.parametrize("seed", range(4))
-def test_native_leaves_out_the_strays_that_the_twin_does(up: np.ndarray | None, seed: int) -> None:
+def test_native_leaves_out_the_strays_that_the_twin_does(up, seed):
     thing = knife(20, seed)
     ids = np.arange(len(thing))
     for fast, slow in zip(box_of(thing, ids, up), twin.box_of(thing, ids, up), strict=True):
         assert_allclose(fast, slow, atol=2e-6)
 
 
-def test_many_boxes_at_once_at_any_number_of_threads() -> None:
-    scene, rng = random_gaussians(500), np.random.default_rng(3)
+def test_many_boxes_at_once_at_any_number_of_threads():
+    scene, rng = random_gaussians(500), default_rng(3)
     ids = [rng.choice(500, count, replace=False) for count in (1, 2, 30, 400)]
     starts = np.append(0, np.cumsum([len(one) for one in ids]))
     found = boxes_of(scene, starts, np.concatenate(ids), UP, threads=3)
@@ -162,14 +162,14 @@ def test_many_boxes_at_once_at_any_number_of_threads() -> None:
     ("starts", "ids", "words"),
     [([0, 0], [], "at least one"), ([0, 2], [0, 500], "existing"), ([0, 3], [0, 1], "row starts")],
 )
-def test_sets_that_are_none(starts: list[int], ids: list[int], words: str) -> None:
+def test_sets_that_are_none(starts, ids, words):
     with pytest.raises(InputError, match=words):
         boxes_of(random_gaussians(500), np.array(starts, np.int64), np.array(ids, np.int64))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.tuples(*[st.floats(-1e7, 1e7)] * 3), st.floats(1e-3, 1e3))
-def test_boxes_move_and_grow_with_the_scene(place, unit_of_length) -> None:
+def test_boxes_move_and_grow_with_the_scene(place, unit_of_length):
     thing, by = shell(turn=30), np.array(place)
     grown = replace(
         thing,
@@ -183,7 +183,7 @@ def test_boxes_move_and_grow_with_the_scene(place, unit_of_length) -> None:
     assert_allclose(found.axes, own.axes, atol=1e-4)
 
 
-def test_free_boxes_lie_as_the_thing_does_longest_first() -> None:
+def test_free_boxes_lie_as_the_thing_does_longest_first():
     tilt = Rotation.from_euler("xyz", [30, 40, 10], degrees=True)
     scene, _ = boxes_scene([(0, 0, 0)], size=(0.2, 0.8, 0.4), turn=tilt)
     found = everything(scene, None)
@@ -193,7 +193,7 @@ def test_free_boxes_lie_as_the_thing_does_longest_first() -> None:
     assert everything(scene).extent.prod() > 1.3 * found.extent.prod()
 
 
-def test_the_quantile_of_a_mixture_of_normals() -> None:
+def test_the_quantile_of_a_mixture_of_normals():
     one = mixture_quantile(np.array([[3.0]]), np.array([[2.0]]), np.ones(1), 0.1)
     assert_allclose(one, 3 + 2 * ndtri(0.1), rtol=1e-7)
     two = mixture_quantile(np.array([[0.0], [100.0]]), np.ones((2, 1)), np.array([0.25, 0.75]), 0.1)
@@ -202,11 +202,10 @@ def test_the_quantile_of_a_mixture_of_normals() -> None:
     assert_allclose(points, 2, atol=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 300), st.sampled_from([0.003, 0.2, 0.5, 0.8, 0.997]))
-def test_the_quantile_is_where_the_mixture_says(seed: int, count: int, share: float) -> None:
+def test_the_quantile_is_where_the_mixture_says(seed, count, share):
     """Wide ones and narrow ones, and some without mass: all of them are counted, not only those near the end."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     means, deviations = rng.normal(0, 5, (count, 2)), np.exp(rng.normal(-1, 2, (count, 2)))
     mass = np.where(rng.random(count) < 0.2, 0, rng.random(count)) + 1e-9
     mass /= mass.sum()
@@ -217,7 +216,7 @@ def test_the_quantile_is_where_the_mixture_says(seed: int, count: int, share: fl
 
 
 @pytest.mark.parametrize("pitch", [-60.0, -20.0, 0.0])
-def test_up_is_told_by_tilted_photos_from_one_side(pitch: float) -> None:
+def test_up_is_told_by_tilted_photos_from_one_side(pitch):
     """Their mean would lean: all of them look down, and none from behind."""
     down = np.radians(pitch)
     eyes = [
@@ -227,7 +226,7 @@ def test_up_is_told_by_tilted_photos_from_one_side(pitch: float) -> None:
     assert_allclose(upward([look_at_view(eye) for eye in eyes]), UP, atol=1e-6)
 
 
-def test_photos_that_do_not_tell_which_way_is_up() -> None:
+def test_photos_that_do_not_tell_which_way_is_up():
     upright = look_at_view((4, 0, 0))
     pose = np.diag([-1.0, -1, 1, 1]) @ upright.cam_from_world
     assert up_of([upright, replace(upright, cam_from_world=pose)]) is None
@@ -235,7 +234,7 @@ def test_photos_that_do_not_tell_which_way_is_up() -> None:
     assert_allclose(upward([upright]), UP, atol=1e-6)
 
 
-def test_a_field_remembers_what_is_up_and_locate_uses_it(tmp_path: Path) -> None:
+def test_a_field_remembers_what_is_up_and_locate_uses_it(tmp_path):
     gaussians, (views, features) = random_gaussians(400, seed=3), capture()
     registration = register(gaussians, views, features, Sampling(10))
     assert registration.up is not None
@@ -253,7 +252,7 @@ def test_a_field_remembers_what_is_up_and_locate_uses_it(tmp_path: Path) -> None
     assert (np.diff(free.extent) <= 0).all()
 
 
-def test_haze_of_a_match_does_not_stretch_its_box() -> None:
+def test_haze_of_a_match_does_not_stretch_its_box():
     """As of objects: what cannot be seen is selected, and the box is of the rest."""
     thing = shell()
     means, opacities = thing.means.copy(), thing.opacities.copy()
@@ -266,7 +265,7 @@ def test_haze_of_a_match_does_not_stretch_its_box() -> None:
     assert_allclose(match.extent, everything(thing.subset(np.arange(800, len(thing)))).extent, atol=1e-6)
 
 
-def test_without_up_boxes_are_free() -> None:
+def test_without_up_boxes_are_free():
     scene, labels = boxes_scene([(0, 0, 0)], turn=Rotation.from_euler("x", 40, degrees=True))
     field = field_of(scene, labels)
     assert field.up is None
@@ -281,7 +280,7 @@ def test_without_up_boxes_are_free() -> None:
 
 
 @pytest.mark.parametrize("up", ["[0, 0]", "[0, 0, 2]", '"z"', "[0, 0, 1e999]"])
-def test_a_damaged_up_is_refused(tmp_path: Path, up: str) -> None:
+def test_a_damaged_up_is_refused(tmp_path, up):
     scene, labels = boxes_scene([(0, 0, 0)])
     path = tmp_path / "a.field"
     replace(field_of(scene, labels), up=UP).save(path)

@@ -1,12 +1,12 @@
 """Constant colours in bytes: which are clamped, what is shown of them, and the nearest ones that survive."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from command_line import Capture, answer_of, text_of
+from command_line import answer_of, text_of
 from drsplat import Gaussians, write_gaussians
 from drsplat.scene.eight_bits import MAX_ABS_CONSTANT, clamped_in_bytes, fitted_to_8_bits
 from drsplat.scene.gaussians import SH_C0
@@ -39,7 +39,7 @@ def unit_vectors(count: int, seed: int = 5) -> np.ndarray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def test_a_byte_holds_colors_from_zero_to_one_and_what_rounding_makes_of_the_rest() -> None:
+def test_a_byte_holds_colors_from_zero_to_one_and_what_rounding_makes_of_the_rest():
     marked = clamped_in_bytes(of_colors(0, 1, 0.3, 1.001, -0.001, 1.003, -0.003, 2))
     assert marked.tolist() == [False] * 5 + [True] * 3
     one_channel = of_colors(0.5)
@@ -47,25 +47,25 @@ def test_a_byte_holds_colors_from_zero_to_one_and_what_rounding_makes_of_the_res
     assert clamped_in_bytes(one_channel).tolist() == [True]
 
 
-def test_what_fits_stays_to_the_bit_and_the_rest_fits_then() -> None:
+def test_what_fits_stays_to_the_bit_and_the_rest_fits_then():
     scene = random_gaussians(500, sh_degree=3)
     scene = replace(scene, sh=4 * scene.sh)
     marked, fitted = clamped_in_bytes(scene), fitted_to_8_bits(scene)
     assert 0.1 < marked.mean() < 0.9
-    np.testing.assert_array_equal(fitted.sh[~marked], scene.sh[~marked])
+    assert_array_equal(fitted.sh[~marked], scene.sh[~marked])
     assert not clamped_in_bytes(fitted).any()
     assert np.abs(fitted.sh[marked, 0]).max() <= np.float32(MAX_ABS_CONSTANT)
     assert fitted.fingerprint == scene.fingerprint
 
 
-def test_without_harmonics_a_color_is_cut() -> None:
+def test_without_harmonics_a_color_is_cut():
     fitted = fitted_to_8_bits(of_colors(1.7, -0.4, 0.6))
-    np.testing.assert_allclose(constants(fitted)[:, 0], [1, 0, 0.6], atol=1e-6)
+    assert_allclose(constants(fitted)[:, 0], [1, 0, 0.6], atol=1e-6)
     white = fitted_to_8_bits(of_colors(1.7, degree=1))
-    np.testing.assert_allclose(white.sh[0, 1:], 0, atol=1e-12)
+    assert_allclose(white.sh[0, 1:], 0, atol=1e-12)
 
 
-def test_an_excess_goes_into_the_harmonics() -> None:
+def test_an_excess_goes_into_the_harmonics():
     """1.3 + 0.4 z is seen as white but for where z < -0.75; cut, it would be 1 + 0.4 z, too dark by 0.3."""
     scene = of_colors(1.3, degree=1)
     scene.sh[0, 2] = 0.4 / SH_C1
@@ -78,7 +78,7 @@ def test_an_excess_goes_into_the_harmonics() -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_a_fit_is_never_worse_than_a_cut(degree: int) -> None:
+def test_a_fit_is_never_worse_than_a_cut(degree):
     scene = random_gaussians(400, sh_degree=degree)
     scene = replace(scene, sh=3 * scene.sh).subset(clamped_in_bytes(replace(scene, sh=3 * scene.sh)))
     directions = unit_vectors(4000)
@@ -91,7 +91,7 @@ def test_a_fit_is_never_worse_than_a_cut(degree: int) -> None:
     assert fitted.mean() < 0.6 * cut.mean()
 
 
-def test_inspect_says_how_many_are_clamped(tmp_path: Path, capsys: Capture) -> None:
+def test_inspect_says_how_many_are_clamped(tmp_path, capsys):
     write_gaussians(tmp_path / "scene.ply", of_colors(0.2, 1.4, 0.9, -0.3, 0.5, 0.5, 0.5, 0.5))
     assert answer_of(capsys, "inspect", tmp_path / "scene.ply")["clamped_colors"] == 0.25
     assert "clamped colors  25.0% of Gaussians, in viewers" in text_of(capsys, "inspect", tmp_path / "scene.ply")

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import render
-from drsplat.errors import InputError
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.merging import areas_of, coarser, masses_of, merged, shapes_of
+from refusing import refused
 from scenes import look_at_view, random_gaussians
 
 
@@ -26,7 +26,7 @@ def ball(*centers: tuple[float, float, float], opacity: float = 0.3, size: float
     )
 
 
-def test_two_at_one_place_become_one_of_the_summed_opacity() -> None:
+def test_two_at_one_place_become_one_of_the_summed_opacity():
     one = merged(ball((1, 2, 3), (1, 2, 3)), np.array([0, 0]))
     assert_allclose(one.means, [[1, 2, 3]])
     assert_allclose(one.scales, [[0.1, 0.1, 0.1]], rtol=1e-5)
@@ -35,7 +35,7 @@ def test_two_at_one_place_become_one_of_the_summed_opacity() -> None:
     assert_array_equal(merged(ball((1, 2, 3), (1, 2, 3), opacity=0.8), np.array([0, 0])).opacities, [1])
 
 
-def test_two_apart_become_one_stretched_between_them() -> None:
+def test_two_apart_become_one_stretched_between_them():
     """Variance along the line: 0.1^2 and the square of half the distance; mass is opacity times area."""
     one = merged(ball((-0.3, 0, 0), (0.3, 0, 0)), np.array([0, 0]))
     assert_allclose(one.means, [[0, 0, 0]], atol=1e-7)
@@ -44,7 +44,7 @@ def test_two_apart_become_one_stretched_between_them() -> None:
     assert_allclose(one.opacities[0], 2 * 0.3 * 0.03 / (0.01 + 0.2 * np.sqrt(0.1)), rtol=1e-5)
 
 
-def test_the_heavier_weighs_more() -> None:
+def test_the_heavier_weighs_more():
     pair = replace(ball((0, 0, 0), (1, 0, 0)), opacities=np.array([0.9, 0.1], np.float32))
     pair = replace(pair, extra={"object_id": np.array([7, 8], np.int32)})
     one = merged(pair, np.array([0, 0]))
@@ -54,7 +54,7 @@ def test_the_heavier_weighs_more() -> None:
 
 
 @given(st.integers(0, 500), st.integers(2, 30))
-def test_moments_and_mass_stay_whatever_the_groups(seed: int, count: int) -> None:
+def test_moments_and_mass_stay_whatever_the_groups(seed, count):
     scene, rng = random_gaussians(count, seed), np.random.default_rng(seed)
     scene = replace(scene, opacities=rng.uniform(0.001, 0.01, count).astype(np.float32))
     whole = merged(scene, np.zeros(count, np.int64))
@@ -69,14 +69,14 @@ def test_moments_and_mass_stay_whatever_the_groups(seed: int, count: int) -> Non
     assert_allclose(twice.covariances(), whole.covariances(), rtol=1e-3, atol=1e-4)
 
 
-def test_shapes_are_those_of_their_covariances() -> None:
+def test_shapes_are_those_of_their_covariances():
     scene = random_gaussians(200, 1)
     quats, scales = shapes_of(scene.covariances())
     assert_allclose(np.linalg.norm(quats, axis=1), 1, rtol=1e-6)
     assert_allclose(replace(scene, quats=quats, scales=scales).covariances(), scene.covariances(), atol=1e-6)
 
 
-def test_pairs_that_are_near_and_alike_go_first() -> None:
+def test_pairs_that_are_near_and_alike_go_first():
     scene = ball((0, 0, 0), (0.01, 0, 0), (5, 0, 0), (9, 0, 0))
     level = coarser(scene, 3)
     assert_array_equal(level.group_of, [0, 0, 1, 2])
@@ -84,7 +84,7 @@ def test_pairs_that_are_near_and_alike_go_first() -> None:
     assert_array_equal(level.gaussians.sh[1:], scene.sh[2:])
 
 
-def test_objects_stay_apart() -> None:
+def test_objects_stay_apart():
     scene = ball((0, 0, 0), (0.01, 0, 0), (5, 0, 0), (6, 0, 0))
     level = coarser(scene, 1, np.array([0, 1, 0, 1]))
     assert_array_equal(level.group_of, [0, 1, 0, 1])
@@ -92,7 +92,7 @@ def test_objects_stay_apart() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 7, 150, 300, 1000])
-def test_the_count_is_reached_with_the_same_bits(count: int) -> None:
+def test_the_count_is_reached_with_the_same_bits(count):
     scene = random_gaussians(300, 2)
     first, second = coarser(scene, count), coarser(scene, count)
     assert len(first.gaussians) == min(count, 300)
@@ -101,7 +101,7 @@ def test_the_count_is_reached_with_the_same_bits(count: int) -> None:
     assert first.gaussians.fingerprint == second.gaussians.fingerprint
 
 
-def test_merging_keeps_a_picture_better_than_leaving_out() -> None:
+def test_merging_keeps_a_picture_better_than_leaving_out():
     scene = random_gaussians(600, 3)
     view = look_at_view([0.0, 0.0, -8.0], width=80, height=60)
     heavy = np.sort(np.argsort(-masses_of(scene))[:150])
@@ -112,13 +112,13 @@ def test_merging_keeps_a_picture_better_than_leaving_out() -> None:
     assert error(coarser(scene, 150).gaussians) < error(scene.subset(heavy))
 
 
-def test_many_at_one_place_are_merged_still() -> None:
+def test_many_at_one_place_are_merged_still():
     scene = ball(*[(1.0, 1.0, 1.0)] * 40, opacity=0.001)
     assert len(coarser(scene, 1).gaussians) == 1
 
 
-def test_what_cannot_be_merged_is_refused() -> None:
-    with pytest.raises(InputError, match="count: expected 1 or more"):
+def test_what_cannot_be_merged_is_refused():
+    with refused("count: expected 1 or more"):
         coarser(random_gaussians(5, 0), 0)
-    with pytest.raises(InputError, match="within: expected 5 numbers"):
+    with refused("within: expected 5 numbers"):
         coarser(random_gaussians(5, 0), 2, np.zeros(4, int))

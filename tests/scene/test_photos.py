@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from drsplat.errors import FormatError, InputError
 from drsplat.formats.captures import read_views
 from drsplat.scene.lens import distort_points, fold_radius2, undistort_points
 from drsplat.scene.photos import load_image, photo_size, undistort_ids
 from drsplat.scene.views import View
+from refusing import malformed, refused
 
 PLUSH = Path(__file__).resolve().parents[3] / "shared" / "data" / "plush"
 needs_plush = pytest.mark.skipif(not PLUSH.is_dir(), reason="the shared plush capture is absent")
@@ -46,15 +47,15 @@ def test_distortion_by_hand():
     x = 0.5 * radial + 2 * 0.01 * 0.5 * -0.2 + 0.02 * (0.29 + 2 * 0.25)
     y = -0.2 * radial + 0.01 * (0.29 + 2 * 0.04) + 2 * 0.02 * 0.5 * -0.2
     got = distort_points(view, np.array([[50.0, -20.0]]))
-    np.testing.assert_allclose(got, [[100 * x, 100 * y]], rtol=1e-14)
+    assert_allclose(got, [[100 * x, 100 * y]], rtol=1e-14)
 
 
-@settings(deadline=None, derandomize=True, max_examples=100)
+@settings(derandomize=True, max_examples=100)
 @given(st.tuples(*[st.floats(-0.08, 0.08)] * 2, *[st.floats(-0.005, 0.005)] * 2), st.floats(0, 200), st.floats(0, 150))
 def test_undistort_inverts_distort(distortion, x, y):
     view, pixel = camera(distortion), np.array([[x, y]])
-    np.testing.assert_allclose(distort_points(view, undistort_points(view, pixel)), pixel, atol=1e-6)
-    np.testing.assert_allclose(undistort_points(view, distort_points(view, pixel)), pixel, atol=1e-6)
+    assert_allclose(distort_points(view, undistort_points(view, pixel)), pixel, atol=1e-6)
+    assert_allclose(undistort_points(view, distort_points(view, pixel)), pixel, atol=1e-6)
 
 
 @pytest.mark.parametrize("k1", [-0.3, -1.0])
@@ -86,8 +87,8 @@ def test_fold_radius(k1, k2, expected):
 def test_without_distortion_nothing_moves():
     pixels = np.array([[1.0, 2.0], [3.0, 4.0]])
     for move in (distort_points, undistort_points):
-        np.testing.assert_array_equal(move(camera(None), pixels), pixels)
-    with pytest.raises(InputError, match=r"\(\.\.\., 2\)"):
+        assert_array_equal(move(camera(None), pixels), pixels)
+    with refused(r"\(\.\.\., 2\)"):
         distort_points(camera(), np.zeros((4, 3)))
 
 
@@ -126,7 +127,7 @@ def test_a_bent_line_becomes_straight(tmp_path):
 
     photo = np.asarray(Image.open(view.image_path))
     assert np.ptp(ridge(photo)) > 1.0
-    np.testing.assert_allclose(ridge(load_image(view)), 40, atol=0.02)
+    assert_allclose(ridge(load_image(view)), 40, atol=0.02)
 
 
 def test_outside_the_photo_is_black(tmp_path):
@@ -147,7 +148,7 @@ def test_resizing_keeps_places(tmp_path):
     pixels = load_image(small)
     assert pixels.shape == (40, 50, 3)
     expected = ramp(distort_points(view, pixel_centres(small) * 4)) - 0.5
-    np.testing.assert_allclose(pixels[3:-3, 3:-3], expected[3:-3, 3:-3], atol=1.5)
+    assert_allclose(pixels[3:-3, 3:-3], expected[3:-3, 3:-3], atol=1.5)
 
 
 def test_label_maps_follow_the_photo():
@@ -190,7 +191,7 @@ def test_transparency_is_composited_on_black(tmp_path):
     rgba[0, 0, 3] = 0
     pixels = load_image(camera(None, 6, 4, saved(tmp_path / "a.png", rgba)))
     assert (pixels[0, 0] == 0).all()
-    np.testing.assert_allclose(pixels[1, 1], np.array([200, 100, 50]) * 128 / 255, atol=1)
+    assert_allclose(pixels[1, 1], np.array([200, 100, 50]) * 128 / 255, atol=1)
 
 
 def test_grey_palette_and_16_bit(tmp_path):
@@ -202,16 +203,16 @@ def test_grey_palette_and_16_bit(tmp_path):
     Image.fromarray(wide).save(tmp_path / "wide.png")
     for name in ("grey", "palette", "wide"):
         view = camera(None, 6, 4, tmp_path / f"{name}.png")
-        np.testing.assert_array_equal(load_image(view), expected)
+        assert_array_equal(load_image(view), expected)
 
 
 def test_a_view_without_photo():
-    with pytest.raises(InputError, match="has no photo"):
+    with refused("has no photo"):
         load_image(camera())
 
 
 def test_a_photo_that_vanished(tmp_path):
-    with pytest.raises(InputError, match="no such photo"):
+    with refused("no such photo"):
         load_image(camera(path=tmp_path / "gone.png"))
 
 
@@ -221,7 +222,7 @@ def test_a_truncated_photo(tmp_path, suffix):
     path = saved(tmp_path / f"a{suffix}", noise)
     path.write_bytes(path.read_bytes()[:3000])
     assert photo_size(path) == (200, 150)
-    with pytest.raises(FormatError, match="cannot be read as a photo"):
+    with malformed("cannot be read as a photo"):
         load_image(camera(path=path))
 
 
@@ -230,7 +231,7 @@ def test_a_photo_that_claims_to_be_huge(tmp_path):
     content = bytearray(path.read_bytes())
     content[16:24] = (60000).to_bytes(4, "big") * 2  # IHDR
     path.write_bytes(content)
-    with pytest.raises(FormatError, match=r"a\.png"):
+    with malformed(r"a\.png"):
         photo_size(path)
 
 
@@ -238,7 +239,7 @@ def test_a_program_is_not_a_photo(tmp_path):
     """PostScript would start an interpreter: only decoders of photos are tried."""
     path = tmp_path / "a.png"
     path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\n")
-    with pytest.raises(FormatError, match="JPEG/PNG"):
+    with malformed("JPEG/PNG"):
         photo_size(path)
 
 
@@ -254,7 +255,7 @@ def test_the_plush_photos():
     corner = distort_points(view, np.array([[0.5, 0.5]])) - 0.5
     x, y = (0.5 - 504) / 819.228928244, (0.5 - 378) / 819.228928244
     factor = 1 + 0.032123238578 * (x * x + y * y)
-    np.testing.assert_allclose(corner[0], [504 + (0.5 - 504) * factor - 0.5, 378 + (0.5 - 378) * factor - 0.5])
+    assert_allclose(corner[0], [504 + (0.5 - 504) * factor - 0.5, 378 + (0.5 - 378) * factor - 0.5])
     grid = np.stack(np.meshgrid(np.arange(0, 1008, 31.0), np.arange(0, 756, 31.0)), -1)
     again = distort_points(view, undistort_points(view, grid))
     assert np.abs(again - grid).max() < 1e-3

@@ -5,13 +5,11 @@ import struct
 import tracemalloc
 import zlib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from drsplat.errors import FormatError, InputError
 from drsplat.scene.masks.crops import MAX_PADDED_PIXELS, crop
 from drsplat.scene.photos import (
     MAX_SCANS_OF_LARGE,
@@ -22,6 +20,7 @@ from drsplat.scene.photos import (
     most_scans,
 )
 from drsplat.scene.views import View
+from refusing import malformed, refused
 
 RNG = np.random.default_rng(0)
 
@@ -43,7 +42,7 @@ def scanned_again(picture: bytes, times: int) -> bytes:
     return picture[:-2] + picture[last:-2] * times + b"\xff\xd9"
 
 
-def test_scans_are_counted() -> None:
+def test_scans_are_counted():
     plain, progressive = jpeg(), jpeg(progressive=True)
     assert jpeg_scans(plain) == 1
     assert 5 <= jpeg_scans(progressive) <= 12
@@ -55,7 +54,7 @@ def test_scans_are_counted() -> None:
         assert jpeg_scans(progressive[:length]) <= jpeg_scans(progressive)
 
 
-def test_small_jpegs_may_have_more_scans() -> None:
+def test_small_jpegs_may_have_more_scans():
     assert [most_scans(n) for n in (1, 10_000, 1 << 19, 1 << 20, 16_000_000)] == [
         MAX_SCANS_OF_SMALL,
         MAX_SCANS_OF_SMALL,
@@ -65,30 +64,30 @@ def test_small_jpegs_may_have_more_scans() -> None:
     ]
 
 
-def test_a_jpeg_of_many_scans_is_refused_wherever_it_is_opened(tmp_path: Path) -> None:
+def test_a_jpeg_of_many_scans_is_refused_wherever_it_is_opened(tmp_path):
     ordinary = jpeg(progressive=True)
     assert decoded_picture(io.BytesIO(ordinary)).shape == (48, 64, 3)
     bomb = scanned_again(ordinary, 1000)
-    with pytest.raises(InputError, match=r"64x48 pixels in 10\d\d scans"):
+    with refused(r"64x48 pixels in 10\d\d scans"):
         decoded_picture(io.BytesIO(bomb))
     path = tmp_path / "photo.jpg"
     path.write_bytes(bomb)
-    with pytest.raises(InputError, match="scans"):
+    with refused("scans"):
         decoded_picture(path)
     view = View("photo.jpg", np.eye(3), np.eye(4), 64, 48, path)
-    with pytest.raises(FormatError, match=r"photo\.jpg: a JPEG of .* scans"):
+    with malformed(r"photo\.jpg: a JPEG of .* scans"):
         load_image(view)
     path.write_bytes(ordinary)
     assert load_image(replace(view, width=32, height=24)).shape == (24, 32, 3)
 
 
-def test_a_bitmap_of_runs_is_refused() -> None:
+def test_a_bitmap_of_runs_is_refused():
     """One run may say 255 rows, and a row may say that it is 16 million pixels long."""
     header = struct.pack("<IiiHHIIiiII", 40, 15_000_000, 1, 1, 8, 1, 6, 0, 0, 256, 0)
     data = b"\0\2\0\xff" * 4
     start = 14 + 40 + 1024
     bomb = b"BM" + struct.pack("<IHHI", start + len(data), 0, 0, start) + header
-    with pytest.raises(InputError, match="RLE"):
+    with refused("RLE"):
         decoded_picture(io.BytesIO(bomb + bytes(1024) + data), 16_000_000)
 
 
@@ -111,14 +110,14 @@ def tiled(side: int) -> bytes:
     return b"II*\0" + struct.pack("<IH", 8, len(tags)) + entries + bytes(4) + body
 
 
-def test_a_tiff_of_huge_tiles_is_refused() -> None:
+def test_a_tiff_of_huge_tiles_is_refused():
     assert decoded_picture(io.BytesIO(tiled(256))).shape == (1, 1, 3)
-    with pytest.raises(InputError, match="tiles"):
+    with refused("tiles"):
         decoded_picture(io.BytesIO(tiled(4096)))
 
 
 @pytest.mark.parametrize("mode", ["1", "L", "RGB", "P", "LA", "RGBA", "CMYK", "I;16"])
-def test_pictures_of_all_modes_are_as_they_were(mode: str) -> None:
+def test_pictures_of_all_modes_are_as_they_were(mode):
     """The short way for opaque pictures against compositing on black."""
     picture = Image.fromarray(RNG.integers(0, 256, (9, 7, 3), np.uint8))
     coded = Image.new(mode, (7, 9)) if mode == "I;16" else picture.convert(mode)
@@ -133,7 +132,7 @@ def test_pictures_of_all_modes_are_as_they_were(mode: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 25_000), (25_000, 1), (3, 5_000_000)])
-def test_a_thin_picture_is_scaled_before_it_is_padded(shape: tuple[int, int]) -> None:
+def test_a_thin_picture_is_scaled_before_it_is_padded(shape):
     picture = np.full((*shape, 3), 200, np.uint8)
     height, width = shape
     tracemalloc.start()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -41,9 +41,8 @@ def any_size(monkeypatch) -> None:
     monkeypatch.setattr(region_tree, "MAX_AREA_SHARE", 2.0)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6))
-def test_candidates_are_the_nodes_of_the_tree(seed: int) -> None:
+def test_candidates_are_the_nodes_of_the_tree(seed):
     tree, _ = tree_of(seed)
     found = [set(row.nonzero()[0].tolist()) for row in tree.candidates().toarray()]
     expected = [{region} for region in range(len(tree))]
@@ -53,9 +52,8 @@ def test_candidates_are_the_nodes_of_the_tree(seed: int) -> None:
     assert found == expected
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6))
-def test_outlines_and_frames_are_those_of_plain_loops(seed: int) -> None:
+def test_outlines_and_frames_are_those_of_plain_loops(seed):
     tree, strength = tree_of(seed)
     candidates = tree.candidates()
     outlines, framed = tree.outlines(candidates), tree.framed(candidates)
@@ -71,7 +69,7 @@ def test_outlines_and_frames_are_those_of_plain_loops(seed: int) -> None:
         assert_allclose(framed[number], frame / max(len(border) + frame, 1), rtol=1e-6)
 
 
-def test_specks_and_whole_photos_are_no_candidates(monkeypatch) -> None:
+def test_specks_and_whole_photos_are_no_candidates(monkeypatch):
     monkeypatch.undo()
     labels = np.zeros((100, 100), np.int32)
     labels[:, 50:], labels[0, :3] = 1, 2

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from test_gradients import (
@@ -154,7 +155,7 @@ def test_extreme_parameters_give_finite_gradients(cuda_engine_on_cpu):
 
 def random_pictures(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return an image and a photo's bytes; a third of the pixels are equal."""
-    rng = np.random.default_rng(size[0])
+    rng = default_rng(size[0])
     image, pixels = rng.random((*size, 3), np.float32), rng.integers(0, 256, (*size, 3), np.uint8)
     equal = rng.random(size) < 1 / 3
     image[equal] = pixels[equal] * np.float32(1 / 255)
@@ -182,7 +183,7 @@ def test_the_loss_is_that_of_the_twin_and_of_the_native_kernels(cuda_engine_on_c
 def test_unused_pixels_are_their_own_target(cuda_engine_on_cpu):
     """So they are compared with what is drawn, and learn nothing."""
     image, pixels = random_pictures((21, 37))
-    unused = np.random.default_rng(1).random((21, 37)) < 0.3
+    unused = default_rng(1).random((21, 37)) < 0.3
     target = pixels * np.float32(1 / 255)
     target[unused] = image[unused]
     expected = kernels.photometric_loss(image, target, 0.2)
@@ -238,7 +239,7 @@ def points(scene) -> SparsePoints:
 
 def fresh_run(kind, views, points, s: ds.TrainingSettings, **more):
     optimizer = Optimizer(first_gaussians(points, s))
-    return kind(Beginning(views, s, optimizer, np.random.default_rng(s.seed)), **more)
+    return kind(Beginning(views, s, optimizer, default_rng(s.seed)), **more)
 
 
 def both_runs(engine, views, points, s: ds.TrainingSettings) -> tuple[DeviceRun, Run]:
@@ -552,8 +553,8 @@ def philox(counter: int, low: int, high: int) -> list[int]:
 
 def test_noise_is_that_of_philox(cuda_engine_on_cpu):
     assert philox(0, 0, 0) == [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]  # the known answer of its authors
-    low, high = (int(word) for word in np.random.default_rng(3).integers(1 << 32, size=2))
-    drawn = there.normals(cuda_engine_on_cpu, np.random.default_rng(3), 5).ravel()
+    low, high = (int(word) for word in default_rng(3).integers(1 << 32, size=2))
+    drawn = there.normals(cuda_engine_on_cpu, default_rng(3), 5).ravel()
     for place in range(0, 14, 2):
         first, second = ((word >> 8) + 0.5 for word in philox(place // 4, low, high)[place % 4 : place % 4 + 2])
         length, angle = math.sqrt(-2 * math.log(first / 2**24)), 2 * math.pi * second / 2**24
@@ -561,7 +562,7 @@ def test_noise_is_that_of_philox(cuda_engine_on_cpu):
 
 
 def test_noise_is_normal(cuda_engine_on_cpu):
-    drawn = there.normals(cuda_engine_on_cpu, np.random.default_rng(0), 30_001).astype(np.float64)
+    drawn = there.normals(cuda_engine_on_cpu, default_rng(0), 30_001).astype(np.float64)
     assert abs(drawn.mean()) < 0.02
     assert drawn.std() == pytest.approx(1, abs=0.02)
     assert (drawn**4).mean() == pytest.approx(3, abs=0.15)

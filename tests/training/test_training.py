@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,8 @@ COARSE = replace(BUSY, full_size_from=80, opacity_penalty=0.01)
 LIMITED = replace(BUSY, colors_in_bytes=True, sh_rate=0.1)
 KINDS = {"default": BUSY, "mcmc": CHAIN, "coarse": COARSE, "antialiased": FINE, "colours in bytes": LIMITED}
 both = pytest.mark.parametrize("settings", KINDS.values(), ids=KINDS)
+POINTS = perturbed_points(known_scene())
+train = partial(ds.train, points=POINTS, device="cpu")
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +60,7 @@ def views(scene, tmp_path_factory) -> list[ds.View]:
 
 
 @pytest.fixture(scope="module")
-def points(scene) -> SparsePoints:
-    return perturbed_points(scene)
-
-
-@pytest.fixture(scope="module")
-def capture(scene, views, points, tmp_path_factory) -> Path:
+def capture(views, tmp_path_factory) -> Path:
     """A COLMAP text model of every fourth view, with points."""
     folder = tmp_path_factory.mktemp("capture")
     (folder / "images").mkdir()
@@ -71,7 +69,7 @@ def capture(scene, views, points, tmp_path_factory) -> Path:
     for view in some:
         (folder / "images" / view.name).write_bytes(view.image_path.read_bytes())
     write_model(folder / "sparse/0", some)
-    lines = [f"{i} {x} {y} {z} {r} {g} {b} 0.5\n" for i, ((x, y, z), (r, g, b)) in enumerate(zip(*points, strict=True))]
+    lines = [f"{i} {x} {y} {z} {r} {g} {b} 0.5\n" for i, ((x, y, z), (r, g, b)) in enumerate(zip(*POINTS, strict=True))]
     (folder / "sparse/0/points3D.txt").write_text("".join(lines))
     return folder
 
@@ -80,20 +78,20 @@ def capture(scene, views, points, tmp_path_factory) -> Path:
 
 
 @pytest.mark.slow
-def test_a_known_scene_is_found_again_from_perturbed_points(views, points):
+def test_a_known_scene_is_found_again_from_perturbed_points(views):
     """docs/training.md goes on to 3,000 iterations and 33 dB; the start is at 17 dB."""
     settings = ds.TrainingSettings(iterations=400, sh_degree=1)
-    start = ds.train(views, replace(settings, iterations=1), points=points, device="cpu")
-    training = ds.train(views, settings, points=points, device="cpu")
+    start = train(views, replace(settings, iterations=1))
+    training = train(views, settings)
     assert start.evaluation.psnr < 20
     assert training.evaluation.psnr > 26
     assert training.evaluation.ssim > start.evaluation.ssim + 0.2
     assert [view.name for view in training.evaluation.views] == [f"photo_{index:02}.png" for index in (0, 8, 16, 24)]
 
 
-def test_the_chain_learns_within_its_budget(views, points):
+def test_the_chain_learns_within_its_budget(views):
     settings = replace(CHAIN, iterations=300, max_gaussians=350, background="black")
-    training = ds.train(views, settings, points=points, device="cpu")
+    training = train(views, settings)
     assert training.evaluation.psnr > 20
     assert len(training.gaussians) == 350
 
@@ -111,11 +109,11 @@ def test_without_points_it_starts_from_found_and_random_ones_and_still_learns(vi
     assert after.measures()["start"] == after.start
 
 
-def test_pixels_past_the_photo_teach_nothing(views, points):
+def test_pixels_past_the_photo_teach_nothing(views):
     """With a lens undone the photos have black corners; the scene must not."""
     bent = [replace(view, distortion=(0.25, 0.0, 0.0, 0.0)) for view in views[:12]]
-    colors = np.full(points.colors.shape, 255, np.uint8)
-    bright = SparsePoints(points.positions * 3, colors)
+    colors = np.full(POINTS.colors.shape, 255, np.uint8)
+    bright = SparsePoints(POINTS.positions * 3, colors)
     settings = ds.TrainingSettings(iterations=1, test_every=0, sh_degree=0)
     from drsplat.scene.photos import photo_coverage
 
@@ -132,15 +130,15 @@ def test_pixels_past_the_photo_teach_nothing(views, points):
     original = run.photometric_loss
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "photometric_loss", spying)
-        ds.train(bent, settings, points=bright, device="cpu")
+        train(bent, settings, points=bright)
     image, target = seen[0]
     assert image[outside].max() > 0.1
     assert np.array_equal(image[outside], target[outside])
     assert not np.array_equal(image[~outside], target[~outside])
 
 
-def test_an_antialiased_run_writes_a_scene_that_looks_as_it_was_measured(views, points, tmp_path):
-    training = ds.train(views, FINE, tmp_path / "model", points=points, device="cpu")
+def test_an_antialiased_run_writes_a_scene_that_looks_as_it_was_measured(views, tmp_path):
+    training = train(views, FINE, tmp_path / "model")
     scene = ds.read_gaussians(tmp_path / "model")
     assert training.gaussians.antialiased
     assert scene.antialiased
@@ -156,10 +154,10 @@ def test_an_antialiased_run_writes_a_scene_that_looks_as_it_was_measured(views, 
 
 
 @pytest.mark.slow
-def test_colors_that_stay_in_bytes_are_what_viewers_of_the_web_show(views, points):
-    free = ds.train(views, replace(LIMITED, colors_in_bytes=False), points=points, device="cpu").gaussians
+def test_colors_that_stay_in_bytes_are_what_viewers_of_the_web_show(views):
+    free = train(views, replace(LIMITED, colors_in_bytes=False)).gaussians
     assert clamped_in_bytes(free).mean() > 0.01
-    assert not clamped_in_bytes(ds.train(views, LIMITED, points=points, device="cpu").gaussians).any()
+    assert not clamped_in_bytes(train(views, LIMITED).gaussians).any()
 
 
 # --- the same bits ---
@@ -171,25 +169,25 @@ def ply_of(folder: Path, iterations: int = 120) -> bytes:
 
 @pytest.mark.slow
 @both
-def test_any_number_of_threads_gives_the_same_bits(settings, views, points, tmp_path):
+def test_any_number_of_threads_gives_the_same_bits(settings, views, tmp_path):
     settings = replace(settings, iterations=60)
     for threads in (1, 2):
-        ds.train(views[::2], settings, tmp_path / str(threads), points=points, threads=threads, device="cpu")
+        train(views[::2], settings, tmp_path / str(threads), threads=threads)
     assert ply_of(tmp_path / "1", 60) == ply_of(tmp_path / "2", 60)
 
 
 @pytest.mark.slow
-def test_an_everyday_run_finds_a_known_scene_again_and_is_planned_for_its_length(views, points, tmp_path):
+def test_an_everyday_run_finds_a_known_scene_again_and_is_planned_for_its_length(views, tmp_path):
     settings = everyday(views, 400, sh_degree=1)
-    start = ds.train(views, replace(settings, iterations=1), points=points, device="cpu")
-    end = ds.train(views, settings, tmp_path / "m", points=points, device="cpu")
+    start = train(views, replace(settings, iterations=1))
+    end = train(views, settings, tmp_path / "m")
     assert end.evaluation.psnr > start.evaluation.psnr + 7
     assert len(end.gaussians) <= settings.max_gaussians
     with pytest.raises(MismatchError, match=r"other settings \(.*means_rate_steps.*\)"):
-        ds.train(views, everyday(views, 500, sh_degree=1), tmp_path / "m", points=points, device="cpu")
+        train(views, everyday(views, 500, sh_degree=1), tmp_path / "m")
 
 
-def test_nothing_said_is_everyday(views, points, monkeypatch):
+def test_nothing_said_is_everyday(views, monkeypatch):
     def stop(job):
         asked.append(job.settings)
         raise KeyboardInterrupt
@@ -197,23 +195,22 @@ def test_nothing_said_is_everyday(views, points, monkeypatch):
     asked = []
     monkeypatch.setattr("drsplat.training.loop.train", stop)
     with pytest.raises(KeyboardInterrupt):
-        ds.train(views, points=points, device="cpu")
+        train(views)
     assert asked == [everyday(views)]
 
 
-def test_another_seed_gives_other_bits(views, points, tmp_path):
+def test_another_seed_gives_other_bits(views, tmp_path):
     for seed in (0, 1):
         settings = replace(BUSY, iterations=3, seed=seed)
-        ds.train(views[::4], settings, tmp_path / str(seed), points=points, device="cpu")
+        train(views[::4], settings, tmp_path / str(seed))
     assert ply_of(tmp_path / "0", 3) != ply_of(tmp_path / "1", 3)
 
 
 KILLED = """
 import os, signal, sys
 import numpy as np
-import drsplat as ds
 import test_training as t
-from captures_to_train import known_scene, perturbed_points, ring
+from captures_to_train import ring
 from dataclasses import replace
 from pathlib import Path
 photos, folder, kind = sys.argv[1:]
@@ -221,15 +218,14 @@ views = [replace(v, image_path=Path(photos) / v.name) for v in ring(32)][::2]
 def report(status):
     if status.iteration == 97:
         os.kill(os.getpid(), signal.SIGKILL)
-ds.train(views, t.KINDS[kind], folder, points=perturbed_points(known_scene()), report=report,
-         checkpoint_every=35, device="cpu")
+t.train(views, t.KINDS[kind], folder, report=report, checkpoint_every=35)
 """
 
 
 @pytest.mark.slow
 @both
-def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path):
-    ds.train(views[::2], settings, tmp_path / "whole", points=points, device="cpu")
+def test_a_killed_run_goes_on_to_the_same_bits(settings, views, tmp_path):
+    train(views[::2], settings, tmp_path / "whole")
     arguments = (
         str(views[0].image_path.parent),
         str(tmp_path / "killed"),
@@ -244,14 +240,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path
     leftover = tmp_path / "killed/.0123456789abcdef.tmp"
     leftover.write_bytes(b"half")
     seen: list[int] = []
-    ds.train(
-        views[::2],
-        settings,
-        tmp_path / "killed",
-        points=points,
-        device="cpu",
-        report=lambda status: seen.append(status.iteration),
-    )
+    train(views[::2], settings, tmp_path / "killed", report=lambda status: seen.append(status.iteration))
     assert seen == list(range(71, 121))
     assert ply_of(tmp_path / "killed") == ply_of(tmp_path / "whole")
     assert not leftover.exists()
@@ -261,31 +250,31 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path
 # --- the folder ---
 
 
-def unfinished(folder: Path, views: list[ds.View], points: SparsePoints) -> Path:
+def unfinished(folder: Path, views: list[ds.View]) -> Path:
     """A folder whose run was stopped after iteration 30; the path of its checkpoint."""
 
-    def stop(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+    def stop(status: ds.training.Status) -> None:
         if status.iteration == 33:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        ds.train(views, BUSY, folder, points=points, report=stop, checkpoint_every=10, device="cpu")
+        train(views, BUSY, folder, report=stop, checkpoint_every=10)
     return folder / "checkpoint.safetensors"
 
 
-def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, points, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views, points)
+def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views)
     before = checkpoint.read_bytes()
     with pytest.raises(MismatchError, match=r"other settings \(seed\):.*overwrite=True"):
-        ds.train(views, replace(BUSY, seed=1), tmp_path / "model", points=points, device="cpu")
+        train(views, replace(BUSY, seed=1), tmp_path / "model")
     with pytest.raises(MismatchError, match="other poses and photos:"):
-        ds.train(views[1:], BUSY, tmp_path / "model", points=points, device="cpu")
-    fewer = SparsePoints(points.positions[1:], points.colors[1:])
+        train(views[1:], BUSY, tmp_path / "model")
+    fewer = SparsePoints(POINTS.positions[1:], POINTS.colors[1:])
     with pytest.raises(MismatchError, match="other points:"):
-        ds.train(views, BUSY, tmp_path / "model", points=fewer, device="cpu")
+        train(views, BUSY, tmp_path / "model", points=fewer)
     assert checkpoint.read_bytes() == before
     fresh = replace(BUSY, seed=1, iterations=5)
-    ds.train(views, fresh, tmp_path / "model", points=points, overwrite=True, device="cpu")
+    train(views, fresh, tmp_path / "model", overwrite=True)
     assert ply_of(tmp_path / "model", 5)
 
 
@@ -314,8 +303,8 @@ def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> N
 @pytest.mark.parametrize(
     "how", ["rows", "axis", "view", "beyond", "missing", "type", "version", "rng", "iteration", "cut"]
 )
-def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views, points)
+def test_a_damaged_checkpoint_is_refused(how, views, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views)
     if how == "cut":
         checkpoint.write_bytes(checkpoint.read_bytes()[:-8])
     else:
@@ -324,35 +313,35 @@ def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
         damaged(texts, arrays, how)
         write_tensors(checkpoint, arrays, texts, overwrite=True)
     with pytest.raises(FormatError, match=r"checkpoint\.safetensors"):
-        ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
+        train(views, BUSY, tmp_path / "model")
 
 
 @pytest.mark.slow
-def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, points, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views, points)
+def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views)
     good = checkpoint.read_bytes()
     for at in np.random.default_rng(0).integers(8, len(good), 24):
         bad = bytearray(good)
         bad[at] ^= 1 << int(at % 8)
         checkpoint.write_bytes(bad)
         with pytest.raises(FormatError, match=r"checkpoint\.safetensors.*remove it to start anew"):
-            ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
+            train(views, BUSY, tmp_path / "model")
 
 
-def test_a_folder_with_something_else_in_it_is_refused(views, points, tmp_path):
+def test_a_folder_with_something_else_in_it_is_refused(views, tmp_path):
     (tmp_path / "holiday.txt").write_text("mine")
     with pytest.raises(InputError, match="not empty"):
-        ds.train(views, BUSY, tmp_path, points=points, device="cpu")
+        train(views, BUSY, tmp_path)
     quick = replace(BUSY, iterations=1)
     old = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
     old.parent.mkdir(parents=True)
     old.write_bytes(b"of another run")
-    ds.train(views, quick, tmp_path, points=points, overwrite=True, device="cpu")
+    train(views, quick, tmp_path, overwrite=True)
     assert (tmp_path / "holiday.txt").read_text() == "mine"
     assert not old.exists()  # it would be taken for the latest
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="is a file"):
-        ds.train(views, quick, tmp_path / "file", points=points, device="cpu")
+        train(views, quick, tmp_path / "file")
 
 
 FULL = """
@@ -396,21 +385,8 @@ def run_verb(capsys, *arguments: str) -> dict[str, object]:
 
 def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
     folder = tmp_path / "model"
-    answer = run_verb(
-        capsys,
-        str(capture),
-        "-o",
-        str(folder),
-        "--iterations",
-        "30",
-        "--save-at",
-        "10",
-        "--eval-every",
-        "10",
-        "--sh-degree",
-        "1",
-        "--colors-in-bytes",
-    )
+    options = "--iterations 30 --save-at 10 --eval-every 10 --sh-degree 1 --colors-in-bytes"
+    answer = run_verb(capsys, str(capture), "-o", str(folder), *options.split())
     assert answer.keys() >= {"psnr_test", "ssim_test", "num_gaussians", "iterations", "seconds"}
     assert (answer["iterations"], answer["num_gaussians"], answer["num_views"]) == (30, 300, 8)
     files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
@@ -499,13 +475,13 @@ def test_the_verb_says_that_it_triangulates(capture, tmp_path, capsys):
     assert len(ds.read_gaussians(tmp_path / "m")) == 500
 
 
-def test_the_verb_starts_from_a_file_of_points(capture, points, tmp_path, capsys):
-    write_vertices(tmp_path / "cloud.ply", dict(zip("xyz", points.positions.T, strict=True)))
+def test_the_verb_starts_from_a_file_of_points(capture, tmp_path, capsys):
+    write_vertices(tmp_path / "cloud.ply", dict(zip("xyz", POINTS.positions.T, strict=True)))
     options = ("--points", str(tmp_path / "cloud.ply"), "--iterations", "2")
     answer = run_verb(capsys, *without_points(capture, tmp_path), *options)
     assert answer["start"] == {"given": 300, "triangulated": 0, "random": 0}
     started = read_sparse_points(capture, points=tmp_path / "m/input.ply")
-    assert started.positions == pytest.approx(points.positions, abs=1e-6)
+    assert started.positions == pytest.approx(POINTS.positions, abs=1e-6)
     assert (started.colors == 128).all()
     assert "there is no such file" in refused(capsys, str(capture), "-o", str(tmp_path / "n"), "--points", "none.ply")
 
@@ -517,64 +493,64 @@ def scenes_of(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*.ply")}
 
 
-def test_a_run_killed_before_its_first_checkpoint_goes_on(views, points, tmp_path, monkeypatch):
+def test_a_run_killed_before_its_first_checkpoint_goes_on(views, tmp_path, monkeypatch):
     """Also after --save-at has written a scene."""
 
-    def killed(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+    def killed(status: ds.training.Status) -> None:
         if status.iteration == 12:
             raise RuntimeError("killed")
 
     few = replace(BUSY, iterations=20)
-    ds.train(views[::4], few, tmp_path / "whole", points=points, save_at=(5,), device="cpu")
+    train(views[::4], few, tmp_path / "whole", save_at=(5,))
     with pytest.raises(RuntimeError):
-        ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), report=killed, device="cpu")
+        train(views[::4], few, tmp_path / "m", save_at=(5,), report=killed)
     assert (tmp_path / "m/cfg_args").is_file()
     assert not (tmp_path / "m/results.json").exists()
-    ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), device="cpu")
+    train(views[::4], few, tmp_path / "m", save_at=(5,))
     assert scenes_of(tmp_path / "m") == scenes_of(tmp_path / "whole")
 
 
-def test_the_same_command_on_a_finished_run_gives_the_same_files(views, points, tmp_path):
+def test_the_same_command_on_a_finished_run_gives_the_same_files(views, tmp_path):
     few = replace(BUSY, iterations=20)
-    ds.train(views[::4], few, tmp_path, points=points, device="cpu")
+    train(views[::4], few, tmp_path)
     before, results = scenes_of(tmp_path), (tmp_path / "results.json").read_text()
-    ds.train(views[::4], few, tmp_path, points=points, device="cpu")
+    train(views[::4], few, tmp_path)
     assert scenes_of(tmp_path) == before
     assert json.loads((tmp_path / "results.json").read_text())["psnr_test"] == json.loads(results)["psnr_test"]
 
 
 @pytest.mark.slow
 @both
-def test_a_finished_run_goes_on_as_if_it_had_been_longer(settings, views, points, tmp_path):
+def test_a_finished_run_goes_on_as_if_it_had_been_longer(settings, views, tmp_path):
     """Refinements of the last iteration included, which a run leaves out when it ends there."""
     long, short = replace(settings, iterations=60), replace(settings, iterations=40)
-    ds.train(views[::4], long, tmp_path / "whole", points=points, device="cpu")
-    ds.train(views[::4], short, tmp_path / "m", points=points, device="cpu")
-    ds.train(views[::4], long, tmp_path / "m", points=points, device="cpu")
+    train(views[::4], long, tmp_path / "whole")
+    train(views[::4], short, tmp_path / "m")
+    train(views[::4], long, tmp_path / "m")
     assert ply_of(tmp_path / "m", 60) == ply_of(tmp_path / "whole", 60)
     assert json.loads((tmp_path / "m/settings.json").read_text())["iterations"] == 60
     with pytest.raises(MismatchError, match="has done 59 iterations already, 40 are asked for"):
-        ds.train(views[::4], short, tmp_path / "m", points=points, device="cpu")
+        train(views[::4], short, tmp_path / "m")
 
 
-def test_a_longer_run_that_cannot_be_the_planned_one_says_so(views, points, tmp_path):
+def test_a_longer_run_that_cannot_be_the_planned_one_says_so(views, tmp_path):
     """The reset after 60 was left out, because the run ended at 70."""
-    ds.train(views[::4], replace(BUSY, iterations=70), tmp_path, points=points, device="cpu")
+    train(views[::4], replace(BUSY, iterations=70), tmp_path)
     with pytest.warns(ds.DrSplatWarning, match="planned for 70 iterations and left out an opacity"):
-        ds.train(views[::4], replace(BUSY, iterations=90), tmp_path, points=points, device="cpu")
+        train(views[::4], replace(BUSY, iterations=90), tmp_path)
 
 
-def test_photos_that_changed_are_not_mixed_in(views, points, tmp_path):
+def test_photos_that_changed_are_not_mixed_in(views, tmp_path):
     own = photographed(tmp_path, known_scene(), ring(32)[::4])
-    unfinished(tmp_path / "model", own, points)
+    unfinished(tmp_path / "model", own)
     Image.new("RGB", (WIDTH, HEIGHT), (255, 0, 255)).save(own[3].image_path)
     with pytest.raises(MismatchError, match="other photos: go on with the same ones"):
-        ds.train(own, BUSY, tmp_path / "model", points=points, device="cpu")
+        train(own, BUSY, tmp_path / "model")
 
 
-def test_a_scene_is_saved_before_the_opacity_reset(views, points, tmp_path):
+def test_a_scene_is_saved_before_the_opacity_reset(views, tmp_path):
     settings = replace(BUSY, reset_every=10, evaluate_every=10, iterations=40)
-    training = ds.train(views[::4], settings, tmp_path, points=points, save_at=(10, 11), device="cpu")
+    training = train(views[::4], settings, tmp_path, save_at=(10, 11))
     at, after = (
         ds.read_gaussians(tmp_path / f"point_cloud/iteration_{i}/point_cloud.ply").opacities.max() for i in (10, 11)
     )
@@ -610,32 +586,32 @@ def test_ctrl_c_writes_a_checkpoint_and_says_how_to_go_on(capture, tmp_path):
     assert int(texts["iteration"]) % 1000 != 0
 
 
-def test_two_runs_do_not_share_a_folder(views, points, tmp_path):
+def test_two_runs_do_not_share_a_folder(views, tmp_path):
     few = replace(BUSY, iterations=3)
     said: list[str] = []
 
-    def second(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+    def second(status: ds.training.Status) -> None:
         with pytest.raises(InputError) as error:
-            ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
+            train(views[::4], few, tmp_path, overwrite=True)
         said.append(str(error.value))
 
-    ds.train(views[::4], few, tmp_path, points=points, report=second, device="cpu")
+    train(views[::4], few, tmp_path, report=second)
     assert f"is being written by process {os.getpid()} on " in said[0]
     assert (tmp_path / "results.json").is_file()
-    ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
+    train(views[::4], few, tmp_path, overwrite=True)
 
 
 @pytest.mark.slow
-def test_held_out_photos_far_below_are_told_of(views, points, tmp_path):
+def test_held_out_photos_far_below_are_told_of(views, tmp_path):
     """The photo that is held out shows something else."""
     Image.new("RGB", (WIDTH, HEIGHT), (255, 255, 255)).save(tmp_path / "white.png")
     mixed = [replace(views[0], image_path=tmp_path / "white.png"), *views[4::4]]
     settings = replace(BUSY, iterations=100, background="black")
     with pytest.warns(ds.DrSplatWarning, match=r"held-out photos are rendered at \d+\.\d dB"):
-        training = ds.train(mixed, settings, points=points, device="cpu")
+        training = train(mixed, settings)
     assert training.measures()["held_out_far_below"]
     assert training.psnr_train > training.evaluation.psnr + 10
-    well = ds.train(views[::4], replace(settings, iterations=30), points=points, device="cpu")
+    well = train(views[::4], replace(settings, iterations=30))
     assert not well.held_out_far_below
 
 
@@ -668,7 +644,7 @@ def test_devices(monkeypatch):
     assert chosen_device("cuda") == chosen_device("auto") == "cuda"
 
 
-def test_an_optimisation_that_diverges_is_an_error(views, points):
+def test_an_optimisation_that_diverges_is_an_error(views):
     settings = replace(BUSY, means_rate=1e38, means_rate_end=1e38)
     with pytest.raises(ds.DrSplatError, match=r"iteration \d+: .* has left the finite numbers"):
-        ds.train(views, settings, points=points, device="cpu")
+        train(views, settings)

@@ -1,8 +1,10 @@
 """What moves between photos: found by what the other photos do not lack, left out of training, and of what follows."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,13 +72,17 @@ def visited(views: list[ds.View], tmp_path_factory: pytest.TempPathFactory) -> l
     return changed(views, tmp_path_factory.mktemp("visited"), dict.fromkeys(VISITED, with_cloth))
 
 
+@pytest.fixture(scope="module")
+def marked(visited: list[ds.View], scene: ds.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> list[ds.View]:
+    return without_transients(visited, scene, tmp_path_factory.mktemp("marked"), threads=3)
+
+
 def left_out(view: ds.View) -> np.ndarray:
     kept = load_mask(view)
     return np.zeros((view.height, view.width), bool) if kept is None else ~kept
 
 
-def test_what_one_photo_shows_alone_is_left_out_there(visited, scene, tmp_path) -> None:
-    marked = without_transients(visited, scene, tmp_path)
+def test_what_one_photo_shows_alone_is_left_out_there(marked):
     assert [k for k, view in enumerate(marked) if view.mask_path] == list(VISITED)
     for k in VISITED:
         out = left_out(marked[k])
@@ -85,24 +91,24 @@ def test_what_one_photo_shows_alone_is_left_out_there(visited, scene, tmp_path) 
         assert out.mean() < 0.03
 
 
-def test_what_stands_still_is_kept(views, scene, tmp_path) -> None:
+def test_what_stands_still_is_kept(views, scene, tmp_path):
     assert without_transients(views, scene, tmp_path / "masks") == views
     assert not (tmp_path / "masks").exists()
 
 
-def test_a_shadow_is_not_something_that_moves(views, scene, tmp_path) -> None:
+def test_a_shadow_is_not_something_that_moves(views, scene, tmp_path):
     shaded = changed(views, tmp_path / "photos", {VISITED[0]: in_the_shade})
     assert without_transients(shaded, scene, tmp_path / "masks") == shaded
 
 
-def test_what_no_photo_agrees_on_with_the_scene_is_the_scenes_fault(views, scene, tmp_path) -> None:
+def test_what_no_photo_agrees_on_with_the_scene_is_the_scenes_fault(views, scene, tmp_path):
     """A scene that lacks something everywhere does not make all of its photos wrong."""
     poor = scene.subset(np.linalg.norm(scene.means, axis=1) > 0.5)
     found = without_transients(views, poor, tmp_path / "masks")
     assert sum(view.mask_path is not None for view in found) <= 2
 
 
-def test_a_photo_that_is_wrong_all_over_has_a_wrong_pose_and_nothing_that_moves() -> None:
+def test_a_photo_that_is_wrong_all_over_has_a_wrong_pose_and_nothing_that_moves():
     photo, drawn = np.random.default_rng(0).random((2, HEIGHT, WIDTH, 3))
     compared = transients._Compared(photo, drawn, np.abs(photo - drawn).mean(axis=2), np.ones((HEIGHT, WIDTH), bool))
     half = np.zeros((HEIGHT, WIDTH), bool)
@@ -113,7 +119,7 @@ def test_a_photo_that_is_wrong_all_over_has_a_wrong_pose_and_nothing_that_moves(
     assert transients._moving(third, compared, level)[: HEIGHT // 3].all()
 
 
-def test_photos_that_are_held_out_are_judged_and_do_not_judge(visited, scene, tmp_path) -> None:
+def test_photos_that_are_held_out_are_judged_and_do_not_judge(visited, scene, tmp_path):
     judges = [view for k, view in enumerate(visited) if k != VISITED[1]]
     alone = without_transients(judges, scene, tmp_path / "alone")
     both = without_transients(judges, scene, tmp_path / "both", held_out=[visited[VISITED[1]]])
@@ -123,7 +129,7 @@ def test_photos_that_are_held_out_are_judged_and_do_not_judge(visited, scene, tm
         assert_array_equal(left_out(one), left_out(other))
 
 
-def test_masks_that_are_there_stay(visited, scene, tmp_path) -> None:
+def test_masks_that_are_there_stay(visited, scene, tmp_path):
     """Also inverted ones: what is written is white where it is kept."""
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[:, :12] = True
@@ -138,7 +144,7 @@ def test_masks_that_are_there_stay(visited, scene, tmp_path) -> None:
         assert not marked[VISITED[0]].mask_inverted
 
 
-def test_the_mask_is_made_for_the_photo_as_it_is_stored(visited, tmp_path) -> None:
+def test_the_mask_is_made_for_the_photo_as_it_is_stored(visited, tmp_path):
     """The lens bends the photo, and the mask with it."""
     bent = replace(visited[VISITED[0]], distortion=(0.2, 0.0, 0.0, 0.0))
     moving = np.zeros((HEIGHT, WIDTH), bool)
@@ -149,7 +155,7 @@ def test_the_mask_is_made_for_the_photo_as_it_is_stored(visited, tmp_path) -> No
     assert (left_out(marked) & moving).sum() > 0.95 * moving.sum()
 
 
-def test_sums_are_those_of_a_loop(visited, scene) -> None:
+def test_sums_are_those_of_a_loop(visited, scene):
     """Weights of a photo, weights times the difference, and the squared sum of weights, of each Gaussian."""
     jury, view = transients._Jury(scene, 0), visited[VISITED[0]]
     compared = jury.compared(view)
@@ -164,9 +170,8 @@ def test_sums_are_those_of_a_loop(visited, scene) -> None:
     assert_allclose(jury.sums(view, compared), [weight, lacking, weight**2], rtol=1e-9, atol=1e-12)
 
 
-def test_any_number_of_threads_gives_the_same_masks(visited, scene, tmp_path) -> None:
-    one, three = (without_transients(visited, scene, tmp_path / str(n), threads=n) for n in (1, 3))
-    for a, b in zip(one, three, strict=True):
+def test_any_number_of_threads_gives_the_same_masks(marked, visited, scene, tmp_path):
+    for a, b in zip(without_transients(visited, scene, tmp_path, threads=1), marked, strict=True):
         assert_array_equal(left_out(a), left_out(b))
 
 
@@ -181,14 +186,20 @@ def masks_in(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((folder / "masks").rglob("*.png"))}
 
 
-def test_training_leaves_out_what_moves_and_says_so(visited, points, tmp_path) -> None:
-    found = ds.train(visited, everyday_of(visited), tmp_path / "m", points=points, device="cpu")
-    masks = masks_in(tmp_path / "m")
+@pytest.fixture(scope="module")
+def trained(visited, points, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    folder = tmp_path_factory.mktemp("trained") / "m"
+    return folder, ds.train(visited, everyday_of(visited), folder, points=points, device="cpu")
+
+
+def test_training_leaves_out_what_moves_and_says_so(trained, visited, points, tmp_path):
+    folder, found = trained
+    masks = masks_in(folder)
     assert masks.keys() >= {f"{visited[k].name}.png" for k in VISITED}
     assert len(masks) <= len(VISITED) + 2  # the scene is a poor one by then
     assert found.num_transient == found.measures()["num_views_with_transients"] == len(masks)
     assert found.num_masked == 0
-    marked = with_masks(visited, tmp_path / "m" / "masks")
+    marked = with_masks(visited, folder / "masks")
     assert np.mean([left_out(marked[k])[SQUARE].mean() for k in VISITED]) > 0.5  # of a scene of 150 iterations
     kept = ds.train(visited, everyday_of(visited, transients_at=0), tmp_path / "k", points=points, device="cpu")
     assert not masks_in(tmp_path / "k")
@@ -196,19 +207,16 @@ def test_training_leaves_out_what_moves_and_says_so(visited, points, tmp_path) -
     assert found.evaluation.psnr > kept.evaluation.psnr
 
 
-def test_without_a_folder_it_is_the_same_scene(visited, points, tmp_path) -> None:
-    settings = everyday_of(visited)
-    one = ds.train(visited, settings, points=points, device="cpu")
-    other = ds.train(visited, settings, tmp_path / "m", points=points, device="cpu")
-    assert_array_equal(one.gaussians.means, other.gaussians.means)
+def test_without_a_folder_it_is_the_same_scene(trained, visited, points):
+    found = ds.train(visited, everyday_of(visited), points=points, device="cpu")
+    assert_array_equal(found.gaussians.means, trained[1].gaussians.means)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("at", [100, 150, 151, 200])
-def test_a_run_that_is_killed_before_or_after_goes_on_to_the_same_bits(visited, points, tmp_path, at: int) -> None:
-    settings = everyday_of(visited)
+def test_a_run_that_is_killed_before_or_after_goes_on_to_the_same_bits(visited, points, tmp_path, trained, at):
+    settings, (folder, whole) = everyday_of(visited), trained
     assert settings.transients_at == 150
-    whole = ds.train(visited, settings, tmp_path / "whole", points=points, device="cpu")
 
     def stop(status: object) -> None:
         if status.iteration == at:
@@ -219,23 +227,24 @@ def test_a_run_that_is_killed_before_or_after_goes_on_to_the_same_bits(visited, 
         ds.train(visited, settings, tmp_path / "cut", report=stop, **shared)
     again = ds.train(visited, settings, tmp_path / "cut", **shared)
     assert_array_equal(whole.gaussians.means, again.gaussians.means)
-    assert masks_in(tmp_path / "whole") == masks_in(tmp_path / "cut")
+    assert masks_in(folder) == masks_in(tmp_path / "cut")
     assert again.num_transient == whole.num_transient
 
 
-def test_overwriting_removes_masks_of_another_run(visited, views, points, tmp_path) -> None:
-    ds.train(visited, everyday_of(visited), tmp_path / "m", points=points, device="cpu")
-    ds.train(views, everyday_of(views), tmp_path / "m", points=points, device="cpu", overwrite=True)
-    assert not masks_in(tmp_path / "m")
+def test_overwriting_removes_masks_of_another_run(trained, views, points, tmp_path):
+    folder = Path(shutil.copytree(trained[0], tmp_path / "m"))
+    assert masks_in(folder)
+    ds.train(views, everyday(views, 20, sh_degree=1), folder, points=points, device="cpu", overwrite=True)
+    assert not masks_in(folder)
 
 
-def test_checkpoints_of_before_go_on_where_nothing_is_looked_for() -> None:
+def test_checkpoints_of_before_go_on_where_nothing_is_looked_for():
     assert "transients_at" not in ds.TrainingSettings().fingerprint
     assert '"transients_at": 150' in everyday([], 300).fingerprint
 
 
 @pytest.mark.slow
-def test_embed_leaves_out_what_training_found_beside_the_scene(visited, points, tmp_path, capsys) -> None:
+def test_embed_leaves_out_what_training_found_beside_the_scene(visited, points, tmp_path, capsys):
     """The same photos with poses in cameras.json: train, then embed with and without the scene."""
     capture = tmp_path / "capture"
     (capture / "images").mkdir(parents=True)
