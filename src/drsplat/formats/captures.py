@@ -259,7 +259,14 @@ def with_times(views: Sequence[View], times: str | Path) -> list[View]:
     """
     text = str(times)
     if HOLE in text:
-        found = _by_pattern(views, text)
+        before, _, after = text.partition(HOLE)
+        if HOLE in after:
+            raise InputError(f"times: expected {HOLE} once in {text!r}")
+        parts = (re.escape(part).replace(r"\*", "[^/]*?") for part in (before, after))
+        suffix = "" if Path(text).suffix else r"(?:\.[^./]+)?"
+        whole = re.compile(_NUMBER.join(parts) + suffix)
+        fits = {view.name: whole.fullmatch(view.name) for view in views}
+        found = {name: float(fit[1]) for name, fit in fits.items() if fit}
     elif text.lower().endswith(".csv"):
         found = read_times(Path(times))
     else:
@@ -293,17 +300,6 @@ def _row(row: list[str], where: str) -> tuple[str, float]:
     except (ValueError, IndexError):
         pass
     raise FormatError(f"{where}: expected a name and a finite number, got {ascii(','.join(row))[:80]}")
-
-
-def _by_pattern(views: Sequence[View], pattern: str) -> dict[str, float]:
-    before, _, after = pattern.partition(HOLE)
-    if HOLE in after:
-        raise InputError(f"times: expected {HOLE} once in {pattern!r}")
-    parts = (re.escape(part).replace(r"\*", "[^/]*?") for part in (before, after))
-    suffix = "" if Path(pattern).suffix else r"(?:\.[^./]+)?"
-    whole = re.compile(_NUMBER.join(parts) + suffix)
-    fits = {view.name: whole.fullmatch(view.name) for view in views}
-    return {name: float(fit[1]) for name, fit in fits.items() if fit}
 
 
 def _key(view: View, found: Mapping[str, float]) -> str | None:

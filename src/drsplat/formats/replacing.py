@@ -62,7 +62,7 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
                 os.fsync(raw.fileno())
                 waiting = _WAITING.get()
                 if waiting is not None:
-                    waiting.append((temporary, path, _holding(raw)))
+                    waiting.append((temporary, path, os.dup(raw.fileno()) if system.RENAMES_OPEN_FILES else None))
                     return
                 if not system.RENAMES_OPEN_FILES:
                     file.close()
@@ -100,11 +100,6 @@ def together() -> Iterator[None]:
             temporary.unlink(missing_ok=True)
             if descriptor is not None:
                 os.close(descriptor)
-
-
-def _holding(raw: io.FileIO) -> int | None:
-    """Return a copy of an open file, which keeps its lock; none where open files have no other name to take."""
-    return os.dup(raw.fileno()) if system.RENAMES_OPEN_FILES else None
 
 
 @contextmanager
