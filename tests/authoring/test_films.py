@@ -22,7 +22,7 @@ from drsplat.drawing.pictures import as_pixels, titled
 from drsplat.errors import InputError
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.query.sheets import attribute_row
-from drsplat.scene.annotations import Annotation
+from drsplat.scene.labelled import Annotation
 from drsplat.scene.moving import Moving
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians

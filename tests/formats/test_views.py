@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
-from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
 from drsplat.formats.captures import read_sparse_points, read_views
 from drsplat.formats.colmap import read_points
 from drsplat.formats.ply import write_vertices
+from drsplat.formats.poses import read_cameras_json, write_cameras_json
 from drsplat.scene.views import View
 from written_captures import (
     CAMERAS,

@@ -25,8 +25,8 @@ from catalogued import boxes_of, write_scene
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field, read_gaussians
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
-from drsplat.formats.checksums import sealed
-from drsplat.formats.claiming import claimed_output
+from drsplat.formats.replacing import claimed_output
+from drsplat.formats.tensors import sealed
 from drsplat.formats.tiles import write_tiles
 from drsplat.query.objects import support_of
 from drsplat.query.sketch import Packed, Sketch, SketchedScene

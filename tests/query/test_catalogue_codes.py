@@ -12,7 +12,7 @@ import pytest
 
 from drsplat import EncoderIdentity, Query
 from drsplat.errors import FormatError
-from drsplat.formats.claiming import claimed_output
+from drsplat.formats.replacing import claimed_output
 from drsplat.formats.tensors import map_tensors, write_tensors
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")

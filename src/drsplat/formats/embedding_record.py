@@ -19,10 +19,10 @@ from typing import BinaryIO, Literal
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, MismatchError
 from ..scene.encoders import EncoderIdentity, identity_text
-from .checksums import DOCUMENT, check_document, check_seal, hash_file, sealed
 from .json_files import as_document, as_fields, as_kind, document_in, read_json, write_json
 from .photo_files import listed
 from .replacing import saying_what_is_full, sync_folder
+from .tensors import DOCUMENT, check_document, check_seal, hash_file, sealed
 
 MAPS, EMBEDDINGS = "_s.npy", "_f.npy"  # LangSplat's
 COMPACT = ".features.safetensors"

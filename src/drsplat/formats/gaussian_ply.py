@@ -33,8 +33,7 @@ import numpy as np
 
 from ..base.arrays import Arrays, Float32, FloatRows, Shaped, UnsignedIds, Vector3, Vectors
 from ..errors import FormatError, InputError, warn
-from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
-from ..scene.placing import local_origin
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat, local_origin
 from .activation import checked, exp, from_smallest_three, logit, refuse_packed_name, refuse_unreadable, sigmoid
 from .ply import Header, Records, gather, read_elements, write_vertices
 

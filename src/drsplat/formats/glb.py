@@ -15,8 +15,7 @@ import numpy as np
 from ..base.arrays import Arrays, Ids, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
-from ..scene.gaussians import Gaussians, concatenated
-from ..scene.placing import MIN_SIZED_GAUSSIANS, local_origin
+from ..scene.gaussians import MIN_SIZED_GAUSSIANS, Gaussians, concatenated, local_origin
 from ..scene.similarity import similarity_of
 from .activation import checked
 from .axes import HALF_TURN

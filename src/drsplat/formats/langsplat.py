@@ -22,7 +22,7 @@ from .compact_features import read_compact, write_compact
 from .embedding_record import COMPACT, EMBEDDINGS, MAPS, Form, check_finished, embedded_by, finished_photos, stems
 from .npy import map_npy, write_npy
 from .photo_files import by_folded, folded, listed, safe_name
-from .recognising import Kind, mistaken
+from .scenes import Kind, mistaken
 
 
 @runtime_checkable

@@ -12,7 +12,7 @@ import numpy as np
 from ..base.arrays import Matrix4
 from ..errors import FormatError, InputError, warn
 from ..scene.views import View
-from .dataparser import SceneFrame, scene_frame
+from .captures import SceneFrame, scene_frame
 from .json_files import as_count, as_kind, as_list, as_matrix, as_object, as_text, read_json
 from .mask_files import FOLDER, IMAGE_FOLDER
 from .photo_files import find_files, is_absolute, listed, on_photo, relative_names, safe_name, view_name

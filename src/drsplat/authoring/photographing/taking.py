@@ -14,15 +14,14 @@ from ...drawing.pictures import as_pixels, write_picture
 from ...drawing.rendering import render
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
-from ...formats.claiming import claimed_output
 from ...formats.colmap import read_colmap
 from ...formats.colmap_binary import write_colmap
 from ...formats.field_folder import refuse_to_replace_others, replacing_folder
 from ...formats.json_files import written_name
 from ...formats.rendering_record import RECORD, write_rendering_record
-from ...scene.gaussians import SH_C0, Gaussians, ShapesDigest
+from ...formats.replacing import claimed_output
+from ...scene.gaussians import SH_C0, SOLID_OPACITY, Gaussians, ShapesDigest
 from ...scene.moving import Moving, canonical_of
-from ...scene.placing import SOLID_OPACITY
 from ...scene.views import View
 from ..filming.looking import UP_WITHOUT_VIEWS
 from ..filming.paths import CameraPath

@@ -11,9 +11,8 @@ import numpy as np
 
 from ...errors import InputError, warn
 from ...field.codes import Track, untracked
-from ...formats.claiming import claimed_output
 from ...formats.georeference import read_georeference
-from ...formats.replacing import refuse_missing_parent
+from ...formats.replacing import claimed_output, refuse_missing_parent
 from ...photos.models.loading import load_encoder
 from ...scene.encoders import Encoder, EncoderIdentity
 from .. import Query, Scene, encoder_for, open_scene

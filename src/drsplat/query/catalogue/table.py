@@ -19,7 +19,7 @@ import numpy as np
 
 from ...errors import FormatError, InputError, warn
 from ...field.codes import PQ, Codebook, Codes, load_codebook, pq_code, save_codebook, train_codebook
-from ...formats.claiming import claimed_output
+from ...formats.replacing import claimed_output
 from ...formats.tensors import read_tensors, write_tensors
 from ...scene.encoders import EncoderIdentity
 from .codes import (

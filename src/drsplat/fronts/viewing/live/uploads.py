@@ -12,8 +12,8 @@ from starlette.exceptions import HTTPException
 
 from ....errors import InputError
 from ....formats.photo_files import safe_name
-from ....formats.recognising import FIELD_SUFFIX
 from ....formats.replacing import replacing
+from ....formats.scenes import FIELD_SUFFIX
 
 MAX_FOLDER_DEPTH = 8
 _BATCH = re.compile(r"[A-Za-z0-9_-]{1,64}")
