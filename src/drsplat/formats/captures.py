@@ -1,83 +1,35 @@
 """A capture of any supported kind -> views, sorted by name, with the times of a table or of a pattern of names.
 
 Small tables that people write: a line of column names, then a line for each row.
-
-nerfstudio's dataparser_transforms.json: the frame that its splats are trained in.
 """
 
 import math
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Colors, Matrix4, Points, Vector3
+from ..base.arrays import Colors, Points, Vector3
 from ..base.contents import file_text
 from ..errors import DrSplatWarning, FormatError, InputError, warn
 from ..scene.views import View
 from .colmap import find_models, has_points, incomplete_model, num_images, num_unread_images, read_colmap, read_points
-from .json_files import as_fields, as_matrix, as_number, read_json
+from .json_files import read_json
 from .live_views import ADDED_POSES, read_live_views, stem_of
 from .mask_files import with_masks
 from .photo_files import by_folded, capture_folder, find_files, folded, image_folder, listed, on_photo, view_name
 from .ply import read_point_ply
-from .poses import nearest_rotation, pose, read_cameras_json
+from .poses import read_cameras_json
 from .rendering_record import with_renderings
 from .scenes import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
-from .transforms import point_file, read_applied_transform, read_transforms
+from .transforms import SceneFrame, point_file, read_applied_transform, read_dataparser_transforms, read_transforms
 
 FILE_NAME = "dataparser_transforms.json"
-
-
-@dataclass(frozen=True, eq=False)
-class SceneFrame:
-    """x_scene = scale * (transform @ x_world), a rigid 4x4 followed by a scale."""
-
-    transform: Matrix4
-    scale: float
-
-    def after(self, applied: "SceneFrame") -> "SceneFrame":
-        """Return the transform from the frame that `applied` leads to, where this one starts before it."""
-        return SceneFrame(self.transform @ np.linalg.inv(applied.transform), self.scale / applied.scale)
-
-    def points(self, points: Points) -> Points:
-        """Return the world positions in the scene."""
-        moved: np.ndarray = points @ self.transform[:3, :3].T + self.transform[:3, 3]
-        return self.scale * moved
-
-    def view(self, view: View) -> View:
-        """Return the same camera in the scene: scaled world, scaled distances, every pixel as before."""
-        rotation = view.cam_from_world[:3, :3] @ self.transform[:3, :3].T
-        translation = self.scale * (view.cam_from_world[:3, 3] - rotation @ self.transform[:3, 3])
-        return replace(view, cam_from_world=pose(rotation, translation))
-
-
-def read_dataparser_transforms(path: Path) -> SceneFrame:
-    """Read the file beside a nerfstudio config: {"transform": 3x4, "scale": s}.
-
-    The frame it starts from is that of COLMAP, before the applied_transform of transforms.json.
-
-    Raises: FormatError: a transform that is not rigid, a scale that is not positive.
-    """
-    document = as_fields(read_json(path), str(path), transform=object, scale=float)
-    return scene_frame(document["transform"], document["scale"], str(path))
-
-
-def scene_frame(transform: object, scale: object, where: str) -> SceneFrame:
-    """Return the frame of a 3x4 (or 4x4) matrix and a number from a file."""
-    rows = transform[:3] if isinstance(transform, list) else transform
-    matrix = as_matrix(rows, 3, 4, f"{where}: transform")
-    factor = as_number(scale, f"{where}: scale")
-    if not 1e-9 < factor < 1e9:
-        raise FormatError(f"{where}: expected a positive scale, got {factor}")
-    rotation = nearest_rotation(matrix[:, :3], f"{where}: transform")
-    return SceneFrame(pose(rotation, matrix[:, 3]), factor)
-
 
 MAX_ROWS = 1_000_000
 
