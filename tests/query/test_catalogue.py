@@ -37,8 +37,7 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 from drsplat.query.catalogue import Catalogue, Conditions, reading, record, table
 from drsplat.query.catalogue.entries import quoted
 from drsplat.query.catalogue.rows import MAX_BYTES, thumbnail
-from drsplat.query.catalogue.schema import KEY, batch, schema_of
-from drsplat.query.catalogue.snapshot import current
+from drsplat.query.catalogue.snapshot import KEY, batch, current, schema_of
 
 ANYWHERE = Conditions()
 WORDS = {"kitchen": ("red mug", "wooden table", "green plant"), "o'hara": ("blue mug", "red chair", "white lamp")}

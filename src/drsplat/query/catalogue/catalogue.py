@@ -24,8 +24,7 @@ from .codes import CodeReader, Search, has_codebook, nearest_objects
 from .entries import CatalogueAnswer, Conditions, Entry, SceneEntry, checked_name, of_scene
 from .reading import SceneRules, entries_of, listed_of, thumbnail_of
 from .rows import SceneRows, rows_of
-from .schema import batch
-from .snapshot import OF_OBJECTS, Snapshot, current
+from .snapshot import OF_OBJECTS, Snapshot, batch, current
 from .table import verify_codes
 
 LARGE_ROWS = 100_000  # from here on an index is worth its time

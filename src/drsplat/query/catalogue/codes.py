@@ -24,8 +24,7 @@ from ...field.codes import Codebook, Codes, PQCode, load_codebook, pq_code
 from ...formats.tensors import check_checksums, check_tensors, map_tensors
 from ..ranking import Described
 from .record import Fragment
-from .schema import cosines_of, described_of, libraries
-from .snapshot import ROW_ID, Snapshot
+from .snapshot import ROW_ID, Snapshot, cosines_of, described_of, libraries
 
 FOLDER, CODEBOOK, FORMAT, SUFFIX = "codes", "codebook.safetensors", "drsplat catalogue codes 1", ".safetensors"
 ROWS_OF_PART = 65_536  # rows of files that are scanned as one

@@ -19,8 +19,7 @@ from ..opening import scene_files
 from ..ranking import Ranked
 from ..sketch import Sketch, SketchedScene
 from .entries import Entry, Position, SceneEntry, checked_jpeg, of_scene
-from .schema import CURE, libraries
-from .snapshot import ROW_ID, Snapshot
+from .snapshot import CURE, ROW_ID, Snapshot, libraries
 
 TEXTS = ("scene", "field", "added", "label", "name", "photo", "mask", "thumbnail")
 NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")

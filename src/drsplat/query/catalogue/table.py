@@ -39,8 +39,7 @@ from .codes import (
 )
 from .entries import of_scene
 from .record import RECORD, Fragment, read_record, verify_record, write_record
-from .schema import HEAD, libraries, reading, schema_of, writing
-from .snapshot import NAME, Snapshot, current, folder_of, latest
+from .snapshot import HEAD, NAME, Snapshot, current, folder_of, latest, libraries, reading, schema_of, writing
 
 TRAINING_ROWS = 8192  # objects whose descriptors a codebook is trained on
 ROWS_AT_ONCE = 8192  # of which descriptors are in memory while they are encoded
