@@ -39,8 +39,7 @@ from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.query.catalogue import Catalogue, Conditions, table
 from drsplat.query.catalogue.codes import Search, nearest_objects
 from drsplat.query.catalogue.record import read_record
-from drsplat.query.catalogue.schema import batch, described_of, libraries
-from drsplat.query.catalogue.snapshot import ROW_ID, current
+from drsplat.query.catalogue.snapshot import ROW_ID, batch, current, described_of, libraries
 from drsplat.query.sketch import Packed, Sketch
 
 KINDS, AT_ONCE, TOP = 5000, 25, 10

@@ -40,8 +40,8 @@ from drsplat.authoring.filming.paths import CameraPath, KeyFrame
 from drsplat.drawing.pictures import as_pixels
 from drsplat.drawing.rendering import render
 from drsplat.evaluation.demo.story import SCENE, unpack_household
-from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
 from drsplat.formats.captures import read_views
+from drsplat.formats.poses import read_cameras_json, write_cameras_json
 from drsplat.formats.scan_record import read_scan_record
 from drsplat.formats.scenes import read_gaussians
 from drsplat.fronts.commands.stages import is_done

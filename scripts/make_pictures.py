@@ -22,8 +22,7 @@ from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.planning import ORBIT, path_named, planned
 from drsplat.drawing.heat import class_colors
 from drsplat.drawing.labels import Mark, marked
-from drsplat.drawing.legend import tinted
-from drsplat.drawing.pictures import as_pixels, highlighted
+from drsplat.drawing.pictures import as_pixels, highlighted, tinted
 from drsplat.drawing.rendering import render
 from drsplat.evaluation.demo.story import OVERVIEW
 from drsplat.query.sheets import attribute_row, object_sheet

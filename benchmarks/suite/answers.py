@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drsplat.formats.checksums import hash_file
 from drsplat.formats.replacing import replacing
+from drsplat.formats.tensors import hash_file
 from drsplat.query import Scene
 from drsplat.query.defaults import MIN_GAUSSIANS
 

@@ -20,8 +20,7 @@ from scipy.spatial import cKDTree
 
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_gaussians, read_views, register
 from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
-from drsplat.formats.checksums import hash_file
-from drsplat.formats.tensors import read_tensors, write_tensors
+from drsplat.formats.tensors import hash_file, read_tensors, write_tensors
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.scene.masks.masks import LEVELS

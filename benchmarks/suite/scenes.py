@@ -14,7 +14,7 @@ from world.packing import SCENE
 from drsplat import Gaussians, View, read_gaussians, read_views
 from drsplat.evaluation.lerf_ovs import LerfScene, read_lerf_scene, without_labelled
 from drsplat.evaluation.scannet import ScannetScene, label_set, read_nyu40_scene
-from drsplat.formats.checksums import hash_file
+from drsplat.formats.tensors import hash_file
 from drsplat.kernels import splat_arrays, view_weights
 
 LABEL_SET = "household"

@@ -10,7 +10,7 @@ from drsplat.authoring.editing import EditFile, EditList, Replace
 from drsplat.authoring.editing.edits import drafted
 from drsplat.errors import DrSplatError
 from drsplat.formats.annotations import AnnotationFile
-from drsplat.scene.annotations import Annotation
+from drsplat.scene.labelled import Annotation
 from mutations import bounded_allocations, mutants, quota, seeded
 from scenes import random_gaussians
 

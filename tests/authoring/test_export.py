@@ -22,9 +22,8 @@ from drsplat.formats.georeference import Georeference, write_georeference
 from drsplat.formats.known import read_labels
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.tiles import Tiles
-from drsplat.scene.annotations import Annotation
 from drsplat.scene.eight_bits import clamped_in_bytes
-from drsplat.scene.labelled import LabelledScene, Thing
+from drsplat.scene.labelled import Annotation, LabelledScene, Thing
 from drsplat.scene.moving import Frames, Moving
 from glb_files import Read
 from toy_capture import PER_THING

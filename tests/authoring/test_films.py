@@ -22,7 +22,7 @@ from drsplat.drawing.labels import Mark, lines_of, marked, plates_of
 from drsplat.drawing.pictures import as_pixels, titled
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.query.sheets import attribute_row
-from drsplat.scene.annotations import Annotation
+from drsplat.scene.labelled import Annotation
 from drsplat.scene.moving import Moving
 from drsplat.scene.views import View
 from refusing import refused

@@ -21,8 +21,7 @@ from drsplat.fronts.viewing.naming import hit_by_ray, ray_along
 from drsplat.fronts.viewing.shown import shown_of
 from drsplat.kernels import splat_arrays
 from drsplat.query.places import nearest_gaussian
-from drsplat.scene.gaussians import concatenated
-from drsplat.scene.placing import PUBLISHED_NEAR, local_origin, near_plane, size_of
+from drsplat.scene.gaussians import PUBLISHED_NEAR, concatenated, local_origin, near_plane, size_of
 from drsplat.training import TrainingSettings, train
 from refusing import refused
 from scenes import look_at_view, random_gaussians

@@ -16,7 +16,7 @@ from drsplat.formats.annotations import AnnotationFile
 from drsplat.fronts.viewing import saving
 from drsplat.fronts.viewing.exporting import annotations_of_page, objects_of_page, placed_now
 from drsplat.fronts.viewing.session import Mode, Session
-from drsplat.scene.annotations import Annotation
+from drsplat.scene.labelled import Annotation
 from refusing import refused
 from toy_capture import PER_THING, THINGS
 from viewing_scenes import EACH, boxes_scene

@@ -12,11 +12,11 @@ import pytest
 from command_line import error_of
 from drsplat.base import system
 from drsplat.errors import InputError
-from drsplat.formats.claiming import claimed_folder, claimed_output
+from drsplat.formats.replacing import claimed_folder, claimed_output
 
 HOLD = """
 import sys, time
-from drsplat.formats.claiming import claimed_folder, claimed_output
+from drsplat.formats.replacing import claimed_folder, claimed_output
 with (claimed_folder if sys.argv[1] == "folder" else claimed_output)(sys.argv[2]):
     print("held", flush=True)
     time.sleep(600)

@@ -13,8 +13,7 @@ import drsplat
 from drsplat.base import system
 from drsplat.base.system import peak_memory_bytes
 from drsplat.errors import InputError
-from drsplat.formats.claiming import claimed_output
-from drsplat.formats.replacing import replacing, together
+from drsplat.formats.replacing import claimed_output, replacing, together
 from drsplat.fronts.serving.listening import require
 
 SOURCE = Path(drsplat.__file__).parent

@@ -18,7 +18,7 @@ from drsplat.evaluation.predictions import mask_path, write_mask
 from drsplat.evaluation.report import cell_text
 from drsplat.evaluation.scorers import Scorer
 from drsplat.evaluation.tables import tables_of
-from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.poses import write_cameras_json
 from mutations import mutants, quota
 from refusing import malformed, refused
 from scenes import look_at_view

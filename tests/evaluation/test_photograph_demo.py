@@ -6,7 +6,7 @@ import pytest
 from command_line import answer_of
 from drsplat import Scene, load_field
 from drsplat.evaluation.demo.story import PROBES, SCENE, _Judge, read_household
-from drsplat.scene.placing import size_of
+from drsplat.scene.gaussians import size_of
 
 AS_MANY = 3  # questions that renderings may answer wrongly and photos rightly
 

@@ -12,7 +12,7 @@ from drsplat.errors import MismatchError
 from drsplat.field import load_field
 from drsplat.field.evidence.aggregation import MEAN_RECORD, Sampling, aggregator
 from drsplat.field.registration import Registration, register
-from drsplat.formats.checksums import sealed
+from drsplat.formats.tensors import sealed
 from fields import toy_field
 from refusing import malformed, refused
 from scenes import random_gaussians

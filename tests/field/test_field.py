@@ -25,8 +25,7 @@ from drsplat.field.codes import Codebook, Mixture, train_codebook
 from drsplat.field.codes.mixture import MixtureCode
 from drsplat.field.evidence.aggregation import Aggregated
 from drsplat.field.evidence.evidence import Evidence, Explanation, MaskIds
-from drsplat.formats.checksums import sealed
-from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.formats.tensors import map_tensors, sealed, write_tensors
 from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows

@@ -20,7 +20,7 @@ from drsplat.field.evidence.changing import with_views, without_views
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.growing import Change, add_views, change_field, remove_views
 from drsplat.field.registration import Registration, register
-from drsplat.formats.claiming import claimed_output
+from drsplat.formats.replacing import claimed_output
 from drsplat.scene.masks.features import ViewFeatures
 from growing_fields import COUNT, Killed, at_once, features, files_of, killed_at, remaining, scene, views
 from refusing import refused

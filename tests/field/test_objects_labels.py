@@ -17,8 +17,8 @@ from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import LanguageField
 from drsplat.field.labels import Label, LabelFile, matched
 from drsplat.formats import json_files
-from drsplat.formats.claiming import claimed_output
 from drsplat.formats.json_files import ids_of, spans_of_runs
+from drsplat.formats.replacing import claimed_output
 from known_objects import EACH, with_objects
 from mutations import bounded_allocations, mutants, quota, seeded
 from refusing import malformed, refused

@@ -209,7 +209,7 @@ def test_a_missing_tile_is_told(tmp_path):
 
 @pytest.mark.parametrize("change", [{"tiles": []}, {"tiles": [3]}, {"version": 2}, {"near": "close"}, {"sources": 1}])
 def test_manifests_that_are_none(tmp_path, change):
-    from drsplat.formats.checksums import sealed
+    from drsplat.formats.tensors import sealed
 
     path = tiled(scattered(20), tmp_path).path
     document = json.loads((path / TILES).read_text())

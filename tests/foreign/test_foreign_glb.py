@@ -19,8 +19,7 @@ from browsing import a_browser, a_page, needs_chromium
 from drsplat.authoring.exporting import export
 from drsplat.formats.axes import standing_up
 from drsplat.formats.known import write_scene
-from drsplat.scene.annotations import Annotation
-from drsplat.scene.labelled import LabelledScene, Thing
+from drsplat.scene.labelled import Annotation, LabelledScene, Thing
 from drsplat.scene.similarity import Similarity
 from foreign_programs import NODE, NPM_FOLDER, needs_node, needs_packages, splat_transform
 from foreign_viewing import colourful, pictured, psnr, serving, turned, zoomed

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drsplat.formats.annotations import AnnotationFile
-from drsplat.scene.annotations import Annotation
+from drsplat.scene.labelled import Annotation
 from refusing import malformed, refused
 
 

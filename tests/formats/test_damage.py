@@ -19,9 +19,8 @@ from drsplat.cli import main
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import LanguageField, build_field, load_field
 from drsplat.field.codes import PQ, Mixture, load_codebook, save_codebook
-from drsplat.formats.checksums import sealed
 from drsplat.formats.replacing import replacing, sweep, together
-from drsplat.formats.tensors import map_tensors, read_tensors, write_tensors
+from drsplat.formats.tensors import map_tensors, read_tensors, sealed, write_tensors
 from drsplat.formats.vocabulary import read_vocabulary
 from fields import SCENE, TOY, as_version_2, random_evidence, toy_field, unit_rows
 from mutations import quota

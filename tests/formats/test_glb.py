@@ -18,9 +18,8 @@ from drsplat.formats.axes import standing_up
 from drsplat.formats.glb import names_in_glb
 from drsplat.formats.known import lacks, parse_gaussians, write_scene
 from drsplat.formats.scenes import read_gaussians
-from drsplat.scene.annotations import Annotation
 from drsplat.scene.gaussians import Gaussians
-from drsplat.scene.labelled import LabelledScene, Thing
+from drsplat.scene.labelled import Annotation, LabelledScene, Thing
 from drsplat.scene.similarity import similarity_of
 from glb_files import SPLATTING, Read
 from refusing import malformed, refused

@@ -18,13 +18,12 @@ from drsplat import MiniEncoder, View, load_field, load_segmenter, read_features
 from drsplat.errors import FormatError, InputError
 from drsplat.field.growing import remove_views
 from drsplat.field.registration import register
-from drsplat.formats.checksums import sealed
-from drsplat.formats.claiming import ClaimedError, claimed_output
 from drsplat.formats.compact_features import write_compact
 from drsplat.formats.embedding_record import COMPACT
 from drsplat.formats.live_views import FullError, LiveView, LiveViews, TakenNameError, posed, read_live_views
 from drsplat.formats.moving_scenes import read_scene
-from drsplat.formats.replacing import NoRoom, sweep
+from drsplat.formats.replacing import ClaimedError, NoRoom, claimed_output, sweep
+from drsplat.formats.tensors import sealed
 from drsplat.photos.arriving.adding import GrowingScene, Outcome, add_waiting, refuse_view
 from drsplat.photos.arriving.models import ModelNames, ModelShelf, PhotoModels
 from drsplat.photos.arriving.taking import SentView, Target, take_view

@@ -20,9 +20,8 @@ from drsplat.formats.known import write_scene
 from drsplat.formats.usd import read_usd
 from drsplat.formats.usd_text import parse_usda
 from drsplat.formats.usd_writing import prim_name
-from drsplat.scene.annotations import Annotation
 from drsplat.scene.gaussians import Gaussians
-from drsplat.scene.labelled import LabelledScene, Thing
+from drsplat.scene.labelled import Annotation, LabelledScene, Thing
 from mutations import bounded_allocations, mutants, quota, seeded
 from scene_files import ply_bytes, ply_columns, random_gaussians
 

@@ -23,7 +23,7 @@ from drsplat.formats.moving_scenes import MOTION, SCENE_SUM, read_moving, write_
 from drsplat.formats.sources import blocks_of
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.formats.tiles import TILES, read_tiles
-from drsplat.scene.annotations import Annotation
+from drsplat.scene.labelled import Annotation
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
 from moving_scenes import drifting
 from mutations import quota
@@ -185,7 +185,7 @@ def test_tiles_of_another_cut_are_refused(tmp_path):
 
 
 def test_manifests_of_older_versions_name_no_checksums_and_are_read(tmp_path):
-    from drsplat.formats.checksums import sealed
+    from drsplat.formats.tensors import sealed
 
     path = write_tiles(tmp_path)
     document = json.loads((path / TILES).read_text())

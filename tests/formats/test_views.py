@@ -9,10 +9,10 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import DrSplatWarning, MismatchError
-from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
 from drsplat.formats.captures import read_sparse_points, read_views
 from drsplat.formats.colmap import read_points
 from drsplat.formats.ply import write_vertices
+from drsplat.formats.poses import read_cameras_json, write_cameras_json
 from drsplat.scene.views import View
 from refusing import malformed, refused
 from written_captures import (

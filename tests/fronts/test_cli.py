@@ -22,8 +22,8 @@ from drsplat.cli import VERBS, main
 from drsplat.evaluation.demo import story as household
 from drsplat.evaluation.demo.story import PROBES
 from drsplat.field.codes import save_codebook
-from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.npy import write_npy
+from drsplat.formats.poses import write_cameras_json
 from drsplat.fronts.commands.demo import EXAMPLES
 from furnished.story import Story
 from growing_fields import files_of

@@ -12,7 +12,7 @@ from browsing import a_page, needs_chromium, opened
 from drsplat.fronts.viewing.exporting import export_page
 from drsplat.fronts.viewing.session import Session
 from drsplat.query import open_scene
-from drsplat.scene.annotations import Annotation
+from drsplat.scene.labelled import Annotation
 from live_clients import served
 from places import SUPPORT
 

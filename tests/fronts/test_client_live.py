@@ -16,7 +16,7 @@ from drsplat.fronts.viewing.exporting import export_page
 from drsplat.fronts.viewing.live.stage import Stage
 from drsplat.fronts.viewing.session import Mode, Session
 from drsplat.query import Scene, open_scene
-from drsplat.scene.annotations import Annotation
+from drsplat.scene.labelled import Annotation
 from live_clients import served
 
 pytestmark = [needs_chromium, pytest.mark.slow]

@@ -16,8 +16,8 @@ import pytest
 
 import drsplat as ds
 from command_line import Capture, answer_of, error_of, text_of
-from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import write_features
+from drsplat.formats.poses import write_cameras_json
 from drsplat.formats.replacing import sweep
 from growing_fields import files_of
 from toy_capture import write_toy_capture

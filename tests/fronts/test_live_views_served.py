@@ -23,8 +23,8 @@ from test_serve import KEY, Service, asked, reason, told, wait_for
 from command_line import Capture, error_of
 from drsplat import load_field, read_views
 from drsplat.evaluation.demo import story as household
-from drsplat.formats.claiming import claimed_output
 from drsplat.formats.live_views import LiveViews
+from drsplat.formats.replacing import claimed_output
 from drsplat.fronts.serving import workbench
 from drsplat.fronts.serving.limits import Limits
 from drsplat.fronts.serving.live import list_views

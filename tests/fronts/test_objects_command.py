@@ -24,7 +24,7 @@ from drsplat.drawing.cards import (
 )
 from drsplat.drawing.pictures import PAPER
 from drsplat.errors import InputError
-from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.poses import write_cameras_json
 from drsplat.fronts.commands import objects as objects_command
 from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene
 from scenes import look_at_view

@@ -13,7 +13,7 @@ from PIL import Image
 
 from drsplat import read_gaussians, write_gaussians
 from drsplat.errors import InputError
-from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.poses import write_cameras_json
 from drsplat.query import open_scene
 from glb_files import Read
 from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene

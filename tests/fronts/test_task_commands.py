@@ -8,7 +8,7 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, WordEncoder, load_field, read_gaussians
-from drsplat.drawing.legend import class_colors, legend
+from drsplat.drawing.pictures import class_colors, legend
 from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.photos.models.word_list import NOUNS

@@ -13,8 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drsplat.kernels import sh_colors, splat_arrays
-from drsplat.scene.gaussians import Gaussians
-from drsplat.scene.placing import PUBLISHED_NEAR
+from drsplat.scene.gaussians import PUBLISHED_NEAR, Gaussians
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians
 from twins import registering as reference

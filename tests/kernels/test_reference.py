@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import factorial, lpmv
 
 from drsplat.kernels import SplatArrays, splat_arrays
-from drsplat.scene.gaussians import Gaussians
-from drsplat.scene.placing import PUBLISHED_NEAR
+from drsplat.scene.gaussians import PUBLISHED_NEAR, Gaussians
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_mask_map
 from twins import registering as reference

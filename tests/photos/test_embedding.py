@@ -23,10 +23,10 @@ from captures_to_train import ring
 from drsplat import cli
 from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.errors import DrSplatWarning, MismatchError, MissingExtraError
-from drsplat.formats.checksums import sealed
 from drsplat.formats.embedding_record import COMPACT, EmbeddingRecord, finished_photos
 from drsplat.formats.langsplat import LEVELS, read_features
 from drsplat.formats.replacing import NoRoom
+from drsplat.formats.tensors import sealed
 from drsplat.photos.embedding.embed import embed as embed_compactly
 from drsplat.photos.embedding.embed import recorded_encoder
 from drsplat.scene.gaussians import SH_C0

@@ -16,8 +16,8 @@ from drsplat import cli
 from drsplat.errors import InputError
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.registration import register
-from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import read_features
+from drsplat.formats.poses import write_cameras_json
 from drsplat.photos.embedding.embed import embed
 from drsplat.photos.embedding.keeping import WithoutEmbedding
 from drsplat.photos.embedding.objects_first import (

@@ -14,7 +14,7 @@ from drsplat import Scene, cli
 from drsplat.authoring.exporting.masking import draw_features
 from drsplat.errors import DrSplatWarning
 from drsplat.field.objects.finding import find_objects
-from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.poses import write_cameras_json
 from drsplat.photos.embedding import objects_first
 from drsplat.photos.embedding.voting import vote_for_objects
 from drsplat.photos.models.outlines import region_tree

@@ -10,7 +10,7 @@ import pytest
 from command_line import Capture
 from drsplat.cli import main
 from drsplat.errors import did_you_mean
-from drsplat.formats.recognising import Kind, recognised
+from drsplat.formats.scenes import Kind, recognised
 from toy_capture import write_toy_capture
 
 

@@ -27,8 +27,8 @@ from catalogued import boxes_of, write_scene
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field, read_gaussians
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, FormatError, MismatchError, MissingExtraError
-from drsplat.formats.checksums import sealed
-from drsplat.formats.claiming import claimed_output
+from drsplat.formats.replacing import claimed_output
+from drsplat.formats.tensors import sealed
 from drsplat.formats.tiles import write_tiles
 from drsplat.query.objects import support_of
 from drsplat.query.sketch import Packed, Sketch, SketchedScene
@@ -40,8 +40,7 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 from drsplat.query.catalogue import Catalogue, Conditions, reading, record, table
 from drsplat.query.catalogue.entries import quoted
 from drsplat.query.catalogue.rows import MAX_BYTES, thumbnail
-from drsplat.query.catalogue.schema import KEY, batch, schema_of
-from drsplat.query.catalogue.snapshot import current
+from drsplat.query.catalogue.snapshot import KEY, batch, current, schema_of
 
 ANYWHERE = Conditions()
 WORDS = {"kitchen": ("red mug", "wooden table", "green plant"), "o'hara": ("blue mug", "red chair", "white lamp")}

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import EncoderIdentity, Query
 from drsplat.errors import FormatError
-from drsplat.formats.claiming import claimed_output
+from drsplat.formats.replacing import claimed_output
 from drsplat.formats.tensors import map_tensors, write_tensors
 from refusing import malformed
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from drsplat import EncoderIdentity, WordEncoder, read_gaussians, write_gaussians
 from drsplat.field import LanguageField
-from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.gaussians import Gaussians
 from known_objects import EACH, VIEWS, described, known_field, known_scene
 from scenes import look_at_view

@@ -12,8 +12,7 @@ from scipy.sparse import csr_array, random_array
 
 from drsplat.field import LanguageField, build_field
 from drsplat.field.evidence.evidence import Evidence, MaskIds
-from drsplat.formats.checksums import DOCUMENT, TENSORS
-from drsplat.formats.tensors import map_tensors
+from drsplat.formats.tensors import DOCUMENT, TENSORS, map_tensors
 from drsplat.scene.encoders import EncoderIdentity
 
 OFFICIAL_INDEX = Path(__file__).resolve().parents[3] / "shared/data/official/pq_index.faiss"

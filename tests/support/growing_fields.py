@@ -14,7 +14,7 @@ from drsplat.field import LanguageField, learning
 from drsplat.field.codes import CodeSpecification
 from drsplat.field.evidence.aggregation import AGGREGATORS, Sampling
 from drsplat.field.registration import register
-from drsplat.formats.claiming import LOCK
+from drsplat.formats.replacing import LOCK
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.views import View

@@ -13,7 +13,7 @@ from drsplat import MiniEncoder, View, load_segmenter, read_features, read_gauss
 from drsplat.field import LanguageField
 from drsplat.field.objects.finding import find_objects
 from drsplat.field.registration import register
-from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.poses import write_cameras_json
 from drsplat.photos.embedding.embed import embed
 from toy_capture import write_toy_capture
 

@@ -16,8 +16,8 @@ from skimage.measure import label
 
 import drsplat as ds
 from drsplat.drawing.pictures import as_pixels, write_picture
-from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import write_features
+from drsplat.formats.poses import write_cameras_json
 from drsplat.kernels import splat_arrays
 
 BACKDROP = 0.93  # grey level of the studio behind the object

@@ -11,9 +11,9 @@ import numpy as np
 from PIL import Image
 
 import drsplat as ds
-from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
+from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.moving import Frames, Moving
 from scenes import look_at_view
 

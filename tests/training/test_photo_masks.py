@@ -14,8 +14,8 @@ import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, MismatchError
-from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import read_features
+from drsplat.formats.poses import write_cameras_json
 from drsplat.photos.embedding.embed import embed
 from drsplat.scene.masks.masks import cut_masks, kept_masks
 from drsplat.scene.photo_masks import load_mask, views_with_something

@@ -14,9 +14,9 @@ from PIL import Image
 import drsplat as ds
 from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
 from drsplat.cli import main
-from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.captures import SparsePoints
 from drsplat.formats.ply import write_vertices
+from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.photo_masks import load_mask
 from drsplat.training import everyday, transients
 from drsplat.training.transients import with_masks, without_transients

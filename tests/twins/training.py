@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drsplat.base.arrays import Bool, Float, Float64, Int
-from drsplat.scene.placing import PUBLISHED_NEAR
+from drsplat.scene.gaussians import PUBLISHED_NEAR
 from drsplat.scene.views import View
 
 from .compositing import ALPHA_BAND, MAX_ALPHA, contributors

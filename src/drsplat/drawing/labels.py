@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..base.arrays import Float64, Matrix3, Pixels, Vector3
-from ..scene.annotations import Annotation
+from ..scene.labelled import Annotation
 from ..scene.views import View
 from .pictures import OUTLINE_COLOR
 

@@ -104,7 +104,15 @@ def density_labels(
     Raises: InputError: no points, labels below 0, numbers that are not finite.
     Source: Dr. Splat Sec. C. Eq. 2 prints a sum of distances, which favours far and frequent labels.
     """
-    _check(gaussians, points)
+    if not len(points.labels) or len(points.labels) != len(points.positions):
+        raise InputError(
+            f"expected one label per point; got {len(points.positions)} points, {len(points.labels)} labels"
+        )
+    if points.labels.min() < 0:
+        raise InputError(f"labels: expected 0 or more, got {points.labels.min()}")
+    for name, array in (("points", points.positions), ("means", gaussians.means)):
+        if not np.isfinite(array).all():
+            raise InputError(f"{name}: expected finite positions")
     points = points.relative_to(gaussians.origin)
     present, dense = np.unique(points.labels, return_inverse=True)
     names = np.append(present, -1).astype(np.int32)  # `winners` is -1 until there is a vote
@@ -117,18 +125,6 @@ def density_labels(
         left = _vote_round(left, sample, cut_off, winners, threads)
         shuffled = shuffled[: -(-len(shuffled) // SAMPLING_STEP)]
     return names[winners]
-
-
-def _check(gaussians: Gaussians, points: LabelledPoints) -> None:
-    if not len(points.labels) or len(points.labels) != len(points.positions):
-        raise InputError(
-            f"expected one label per point; got {len(points.positions)} points, {len(points.labels)} labels"
-        )
-    if points.labels.min() < 0:
-        raise InputError(f"labels: expected 0 or more, got {points.labels.min()}")
-    for name, array in (("points", points.positions), ("means", gaussians.means)):
-        if not np.isfinite(array).all():
-            raise InputError(f"{name}: expected finite positions")
 
 
 def _sources(gaussians: Gaussians, cut_off: float, finest: float) -> _Sources:

@@ -14,8 +14,8 @@ from ..drawing.pictures import as_pixels, best_views, highlighted, photo_or_rend
 from ..errors import InputError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
-from ..formats.checksums import hash_file
 from ..formats.peer_features import Rows
+from ..formats.tensors import hash_file
 from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..query import Scene
 from ..query.thresholds import CUT_SHARE, default_threshold

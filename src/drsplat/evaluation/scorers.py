@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Float32, Float64, FloatRows, Integer, Real
+from ..base.arrays import Bool, Float32, Float64, FloatRows, Integer, Real
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
@@ -285,7 +285,15 @@ def feature_scorer(features: Rows, encoder: Encoder, name: str = "features") -> 
         )
 
     def scores(text: str) -> Scores:
-        return _cosines(features, np.asarray(encoder.encode_texts([text])[0], np.float32))
+        unit = np.asarray(encoder.encode_texts([text])[0], np.float32)
+        scores = np.empty(len(features), np.float32)
+        for start in range(0, len(features), BLOCK_ROWS):
+            with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+                block = features[start : start + BLOCK_ROWS].astype(np.float32)
+                norms = np.linalg.norm(block, axis=1)
+                lengths = np.where((norms > 0) & (norms < np.inf), norms, np.nan)
+                scores[start : start + BLOCK_ROWS] = block @ unit / lengths
+        return scores
 
     about = {"features": hashed(features), "encoder": encoder.identity.name, "measure": "cosine"}
     threshold, least = _fixed(encoder), _own(encoder)
@@ -324,17 +332,6 @@ def hashed(array: Rows) -> str:
     for start in range(0, len(array), BLOCK_ROWS):
         digest.update(np.ascontiguousarray(array[start : start + BLOCK_ROWS]).data)
     return digest.hexdigest()
-
-
-def _cosines(features: Rows, unit: Embedding) -> Scores:
-    scores = np.empty(len(features), np.float32)
-    for start in range(0, len(features), BLOCK_ROWS):
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            block = features[start : start + BLOCK_ROWS].astype(np.float32)
-            norms = np.linalg.norm(block, axis=1)
-            lengths = np.where((norms > 0) & (norms < np.inf), norms, np.nan)
-            scores[start : start + BLOCK_ROWS] = block @ unit / lengths
-    return scores
 
 
 def _own(encoder: Encoder) -> float | None:

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..base.arrays import Indices, RowIds, Spans, Vector3
 from ..errors import FormatError, InputError
-from ..formats.claiming import claimed_output
 from ..formats.json_files import (
     are_rows,
     as_vector,
@@ -25,7 +24,7 @@ from ..formats.json_files import (
     spans_of,
     spans_of_runs,
 )
-from ..formats.replacing import replacing
+from ..formats.replacing import claimed_output, replacing
 from .forest import THING
 from .language_field import LanguageField
 

@@ -13,11 +13,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import FormatError, InputError, MismatchError
-from ..formats.checksums import DOCUMENT, check_checksums, check_document, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.json_files import MAX_GAUSSIANS, as_vector, excerpt, is_text
-from ..formats.recognising import Kind, mistaken
-from ..formats.tensors import check_tensors, map_tensors, read_tensors
+from ..formats.scenes import Kind, mistaken
+from ..formats.tensors import (
+    DOCUMENT,
+    check_checksums,
+    check_document,
+    check_seal,
+    check_tensors,
+    map_tensors,
+    read_tensors,
+)
 from ..kernels import group_codes
 from .codes import Code, PQCode, codebook_from_tensors, encoder_from_json
 from .codes.mixture import MixtureCode, mixture_from_tensors

@@ -13,9 +13,9 @@ from typing import Any, Literal, NamedTuple
 
 from ..base.arrays import Matrix3, Vector3
 from ..errors import FormatError, InputError
-from ..scene.annotations import Annotation, Outline
-from .claiming import claimed_output
+from ..scene.labelled import Annotation, Outline
 from .json_files import as_document, as_fields, read_json, write_json
+from .replacing import claimed_output
 from .scenes import companion
 
 KIND, FORMAT, VERSION = "FeatureCollection", "drsplat annotations", 1

@@ -18,18 +18,18 @@ from ..base.arrays import Colors, Points, Vector3
 from ..base.contents import file_text
 from ..errors import DrSplatWarning, FormatError, InputError, warn
 from ..scene.views import View
-from .cameras_json import read_cameras_json
 from .colmap import find_models, has_points, incomplete_model, num_images, num_unread_images, read_colmap, read_points
-from .dataparser import FILE_NAME as DATAPARSER_FILE
-from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
 from .live_views import ADDED_POSES, read_live_views, stem_of
 from .mask_files import with_masks
 from .photo_files import by_folded, capture_folder, find_files, folded, image_folder, listed, on_photo, view_name
 from .ply import read_point_ply
-from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
+from .poses import read_cameras_json
 from .rendering_record import with_renderings
-from .transforms import point_file, read_applied_transform, read_transforms
+from .scenes import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
+from .transforms import SceneFrame, point_file, read_applied_transform, read_dataparser_transforms, read_transforms
+
+FILE_NAME = "dataparser_transforms.json"
 
 MAX_ROWS = 1_000_000
 
@@ -232,7 +232,7 @@ def _with_photos(views: list[View], path: Path, images: str | Path | None) -> li
 
 
 def _scene_frame(source: _Source, capture: Path, named: str | Path | None) -> SceneFrame | None:
-    beside = (capture if capture.is_dir() else capture.parent) / DATAPARSER_FILE
+    beside = (capture if capture.is_dir() else capture.parent) / FILE_NAME
     if named is None and not beside.is_file():
         return None
     frame = read_dataparser_transforms(beside if named is None else Path(named))
@@ -259,7 +259,14 @@ def with_times(views: Sequence[View], times: str | Path) -> list[View]:
     """
     text = str(times)
     if HOLE in text:
-        found = _by_pattern(views, text)
+        before, _, after = text.partition(HOLE)
+        if HOLE in after:
+            raise InputError(f"times: expected {HOLE} once in {text!r}")
+        parts = (re.escape(part).replace(r"\*", "[^/]*?") for part in (before, after))
+        suffix = "" if Path(text).suffix else r"(?:\.[^./]+)?"
+        whole = re.compile(_NUMBER.join(parts) + suffix)
+        fits = {view.name: whole.fullmatch(view.name) for view in views}
+        found = {name: float(fit[1]) for name, fit in fits.items() if fit}
     elif text.lower().endswith(".csv"):
         found = read_times(Path(times))
     else:
@@ -293,17 +300,6 @@ def _row(row: list[str], where: str) -> tuple[str, float]:
     except (ValueError, IndexError):
         pass
     raise FormatError(f"{where}: expected a name and a finite number, got {ascii(','.join(row))[:80]}")
-
-
-def _by_pattern(views: Sequence[View], pattern: str) -> dict[str, float]:
-    before, _, after = pattern.partition(HOLE)
-    if HOLE in after:
-        raise InputError(f"times: expected {HOLE} once in {pattern!r}")
-    parts = (re.escape(part).replace(r"\*", "[^/]*?") for part in (before, after))
-    suffix = "" if Path(pattern).suffix else r"(?:\.[^./]+)?"
-    whole = re.compile(_NUMBER.join(parts) + suffix)
-    fits = {view.name: whole.fullmatch(view.name) for view in views}
-    return {name: float(fit[1]) for name, fit in fits.items() if fit}
 
 
 def _key(view: View, found: Mapping[str, float]) -> str | None:

@@ -19,10 +19,10 @@ from typing import BinaryIO, Literal
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, MismatchError
 from ..scene.encoders import EncoderIdentity, identity_text
-from .checksums import DOCUMENT, check_document, check_seal, hash_file, sealed
 from .json_files import as_document, as_fields, as_kind, document_in, read_json, write_json
 from .photo_files import listed
 from .replacing import saying_what_is_full, sync_folder
+from .tensors import DOCUMENT, check_document, check_seal, hash_file, sealed
 
 MAPS, EMBEDDINGS = "_s.npy", "_f.npy"  # LangSplat's
 COMPACT = ".features.safetensors"
@@ -168,7 +168,11 @@ def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = 
     """
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
         raise InputError(f"{folder} is no folder: name one for the features, or a new one")
-    path, settings = folder / FILE_NAME, _as_json(settings)
+    try:
+        plain: dict[str, object] = json.loads(json.dumps(settings))
+    except TypeError as error:
+        raise InputError(f"an identity must hold text, numbers and lists of them: {error}") from None
+    path, settings = folder / FILE_NAME, plain
     if path.is_file() and not overwrite:
         before, finished = _read(path)
         changes = tuple(_changed(before, settings))
@@ -312,15 +316,6 @@ def _fits(entry: Finished, folder: Path, stem: str) -> bool:
 
 def _listed_stems(folder: Path) -> list[str]:
     return sorted({*stems(folder, MAPS), *stems(folder, COMPACT)})
-
-
-def _as_json(settings: Mapping[str, object]) -> dict[str, object]:
-    """Return settings as they will be read back: tuples become lists."""
-    try:
-        plain: dict[str, object] = json.loads(json.dumps(settings))
-    except TypeError as error:
-        raise InputError(f"an identity must hold text, numbers and lists of them: {error}") from None
-    return plain
 
 
 def _changed(before: object, now: object, name: str = "") -> Iterator[str]:

@@ -16,11 +16,18 @@ import numpy as np
 
 from ..base.contents import open_file
 from ..errors import InputError
-from .checksums import sealed
-from .claiming import claimed_output
 from .json_files import as_object, document_in, write_json
-from .replacing import at_once, lock, refuse_missing_parent, saying_what_is_full, sweep, sync_folder, temporary_beside
-from .tensors import write_tensors
+from .replacing import (
+    at_once,
+    claimed_output,
+    lock,
+    refuse_missing_parent,
+    saying_what_is_full,
+    sweep,
+    sync_folder,
+    temporary_beside,
+)
+from .tensors import sealed, write_tensors
 
 MANIFEST = "field.json"
 _MAX_MANIFEST_BYTES = 1 << 20

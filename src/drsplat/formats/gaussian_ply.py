@@ -31,10 +31,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Arrays, Float32, FloatRows, Harmonics, Shaped, UnsignedIds, Vector3, Vectors
+from ..base.arrays import Arrays, Float32, FloatRows, Shaped, UnsignedIds, Vector3, Vectors
 from ..errors import FormatError, InputError, warn
-from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
-from ..scene.placing import local_origin
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat, local_origin
 from .activation import checked, exp, from_smallest_three, logit, refuse_packed_name, refuse_unreadable, sigmoid
 from .ply import Header, Records, gather, read_elements, write_vertices
 
@@ -348,7 +347,13 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
     sh = np.empty((len(vertex), 1 + len(rest) // 3, 3), np.float32)
     sh[:, 0] = (colour[:, :3] - 0.5) / SH_C0
     if rest:
-        _decode_rest(tables["sh"], rest, sh[:, 1:])
+        # Turn bytes into [-4, 4]: 0 and 255 are the ends of it, all others the middle of their step
+        table = tables["sh"]
+        into = sh[:, 1:]
+        steps = (np.arange(256, dtype=np.float32) + np.float32(0.5)) / 32 - 4
+        steps[[0, 255]] = -4, 4
+        for place, name in enumerate(rest):
+            into[:, place // 3, place % 3] = steps[table[name]]
     extra = extra_columns(vertex, set(PACKED))
     scales = exp(log_scales)
     packed = _packed(vertex, 1)
@@ -400,11 +405,3 @@ def _within_chunks(fractions: Vectors, bounds: Float32[np.ndarray, "c 6"]) -> No
         block = fractions[start * CHUNK_ROWS : (start + BLOCK_CHUNKS) * CHUNK_ROWS]
         of_rows = np.repeat(bounds[start : start + BLOCK_CHUNKS], CHUNK_ROWS, axis=0)[: len(block)]
         block[:] = of_rows[:, :3] * (1 - block) + of_rows[:, 3:] * block
-
-
-def _decode_rest(table: Records, names: list[str], into: Harmonics) -> None:
-    """Turn bytes into [-4, 4]: 0 and 255 are the ends of it, all others the middle of their step."""
-    steps = (np.arange(256, dtype=np.float32) + np.float32(0.5)) / 32 - 4
-    steps[[0, 255]] = -4, 4
-    for place, name in enumerate(names):
-        into[:, place // 3, place % 3] = steps[table[name]]

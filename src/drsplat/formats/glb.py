@@ -15,8 +15,7 @@ import numpy as np
 from ..base.arrays import Arrays, Ids, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
-from ..scene.gaussians import Gaussians, concatenated
-from ..scene.placing import MIN_SIZED_GAUSSIANS, local_origin
+from ..scene.gaussians import MIN_SIZED_GAUSSIANS, Gaussians, concatenated, local_origin
 from ..scene.similarity import similarity_of
 from .activation import checked
 from .axes import HALF_TURN
@@ -195,7 +194,12 @@ def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
     scales = gltf.values(attributes[SCALE], "VEC3", SCALE, (FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT, BYTE, SHORT))
     opacities = gltf.values(attributes[OPACITY], "SCALAR", OPACITY, (FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT))[:, 0]
     lengths = {len(column) for column in (means, quats, scales, opacities)}
-    coefficients = _coefficients(attributes)
+    # The names of the harmonics that are there
+    there = [name in attributes for name in HARMONICS]
+    count = sum(there)
+    if count not in (1, 4, 9, 16) or not all(there[:count]):
+        raise FormatError(f"glTF: {count} coefficients of harmonics: expected 1, 4, 9 or 16, the lowest degrees first")
+    coefficients = HARMONICS[:count]
     sh = np.empty((len(means), len(coefficients), 3), np.float32)
     for number, name in enumerate(coefficients):
         values = gltf.values(attributes[name], "VEC3", name, floats)
@@ -214,15 +218,6 @@ def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
     stored = quats.copy()
     gaussians = checked(means, quats, scales, opacities, sh)
     return replace(gaussians, quats=stored) if np.abs(stored - gaussians.quats).max(initial=0) < 1e-6 else gaussians
-
-
-def _coefficients(attributes: Entry) -> tuple[str, ...]:
-    """Return the names of the harmonics that are there. Raises: FormatError: a degree that is not whole."""
-    there = [name in attributes for name in HARMONICS]
-    count = sum(there)
-    if count not in (1, 4, 9, 16) or not all(there[:count]):
-        raise FormatError(f"glTF: {count} coefficients of harmonics: expected 1, 4, 9 or 16, the lowest degrees first")
-    return HARMONICS[:count]
 
 
 def _columns(gltf: Gltf, primitive: Entry, attributes: Entry, count: int) -> Arrays:

@@ -18,9 +18,8 @@ import numpy as np
 
 from ..base.arrays import Harmonics, Ids, Matrix3, UInt8, Vector3
 from ..errors import InputError
-from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_C0, Gaussians
-from ..scene.labelled import LabelledScene, Thing
+from ..scene.labelled import Annotation, LabelledScene, Thing
 from .axes import standing_up
 from .glb_tables import Table, tables_of
 from .gltf import (
@@ -291,7 +290,7 @@ def named_nodes(scene: LabelledScene, first: int) -> NamedNodes:
     """
     kinds = {
         "matches": [_match(match, scene.query) for match in scene.matches],
-        "annotations": [_annotation(one) for one in scene.annotations],
+        "annotations": [_annotation(one) for one in scene.labelled],
     }
     nodes: list[dict[str, Any]] = []
     roots: list[int] = []

@@ -132,9 +132,6 @@ class Gltf:
             whole_number(entry.get("count"), f"{what}: count"),
             whole_number(entry.get("byteOffset", 0), "byteOffset"),
         )
-        return self._strided(entry, count, offset, dtype, width, what)
-
-    def _strided(self, entry: Entry, count: int, offset: int, dtype: np.dtype, width: int, what: str) -> np.ndarray:
         view, row_bytes = self.view(entry["bufferView"]), width * dtype.itemsize
         stride = self.entry("bufferViews", entry["bufferView"]).get("byteStride", row_bytes)
         stride = whole_number(stride, f"{what}: byteStride", MAX_STRIDE_BYTES + 1)
@@ -257,7 +254,10 @@ def placed_meshes(gltf: Gltf) -> Iterator[tuple[int, Matrix]]:
     Raises: FormatError: a node that is in two places or within itself, or whose numbers are none.
     """
     to_ply = np.eye(4)
-    to_ply[:3, :3] = _turn_to_ply(gltf)
+    generator = inner(gltf.document, "asset").get("generator")
+    to_ply[:3, :3] = (
+        TURN_ABOUT_Z if isinstance(generator, str) and generator.startswith("splat-transform") else HALF_TURN
+    )
     waiting = [(number, to_ply) for number in reversed(_roots(gltf))]
     seen: set[int] = set()
     while waiting:
@@ -272,12 +272,6 @@ def placed_meshes(gltf: Gltf) -> Iterator[tuple[int, Matrix]]:
         if "mesh" in node:
             yield whole_number(node["mesh"], "mesh", len(gltf.entries("meshes"))), here
         waiting += [(child, here) for child in reversed(_numbers(gltf, node, "children"))]
-
-
-def _turn_to_ply(gltf: Gltf) -> Matrix3:
-    """Return the half turn that makes y down: about x, or about z for splat-transform, which undoes what it did."""
-    generator = inner(gltf.document, "asset").get("generator")
-    return TURN_ABOUT_Z if isinstance(generator, str) and generator.startswith("splat-transform") else HALF_TURN
 
 
 def is_world(node: Entry) -> bool:

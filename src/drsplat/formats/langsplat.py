@@ -22,7 +22,7 @@ from .compact_features import read_compact, write_compact
 from .embedding_record import COMPACT, EMBEDDINGS, MAPS, Form, check_finished, embedded_by, finished_photos, stems
 from .npy import map_npy, write_npy
 from .photo_files import by_folded, folded, listed, safe_name
-from .recognising import Kind, mistaken
+from .scenes import Kind, mistaken
 
 
 @runtime_checkable
@@ -277,7 +277,10 @@ def stored_features(directory: Path, stem: str, form: Form) -> tuple[LevelMaskId
 
 def _open_pair(directory: Path, stem: str) -> _Pair:
     maps, embeddings = (directory / f"{stem}{ending}" for ending in (MAPS, EMBEDDINGS))
-    return _Pair(embeddings, maps, _map_embeddings(embeddings))
+    rows = map_npy(embeddings)
+    if rows.ndim != 2 or rows.shape[1] < 1 or rows.dtype.kind != "f":
+        raise FormatError(f"{embeddings}: expected floats (N, D), got {rows.dtype} {rows.shape}")
+    return _Pair(embeddings, maps, rows)
 
 
 FORMS: Mapping[Form, tuple[tuple[str, ...], Callable[[Path, str], FeatureFile]]] = {
@@ -303,13 +306,6 @@ def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"
             f"{num_rows} rows of {path.name.removesuffix(MAPS)}{EMBEDDINGS}"
         )
     return stored.astype(np.int64)
-
-
-def _map_embeddings(path: Path) -> np.ndarray:
-    rows = map_npy(path)
-    if rows.ndim != 2 or rows.shape[1] < 1 or rows.dtype.kind != "f":
-        raise FormatError(f"{path}: expected floats (N, D), got {rows.dtype} {rows.shape}")
-    return rows
 
 
 def unit_rows(rows: np.ndarray, wanted: Indices, path: Path) -> Embeddings:

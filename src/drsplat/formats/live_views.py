@@ -20,12 +20,12 @@ from ..base.arrays import Matrix4
 from ..base.contents import open_file
 from ..errors import DrSplatError, FormatError, InputError
 from ..scene.views import View
-from .checksums import check_seal, sealed
 from .embedding_record import COMPACT
 from .json_files import as_count, as_document, as_kind, as_matrix, as_number, as_vector, document_in
 from .photo_files import PHOTO_SUFFIXES, on_raster, safe_name
 from .poses import pinhole, pose, posed_view, rotation_from_quaternion
 from .replacing import replacing, sync_folder
+from .tensors import check_seal, sealed
 from .transforms import cam_from_transform
 
 FOLDER, ADDED_POSES = "live_views", "live_views/added"

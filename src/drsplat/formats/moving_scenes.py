@@ -21,13 +21,20 @@ from ..errors import FormatError, InputError, MismatchError
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Frames, Moving, counted_from
 from .activation import checked
-from .checksums import check_checksums, check_row, file_checksum, row_checksums, written_rows
 from .field_folder import replacing_folder
 from .gaussian_ply import write_gaussians
 from .ply import read_header
-from .recognising import MOTION
-from .scenes import read_gaussians, scene_file
-from .tensors import check_tensors, map_tensors, write_tensors
+from .scenes import MOTION, read_gaussians, scene_file
+from .tensors import (
+    check_checksums,
+    check_row,
+    check_tensors,
+    file_checksum,
+    map_tensors,
+    row_checksums,
+    write_tensors,
+    written_rows,
+)
 
 SCENE = "scene.ply"
 FORMAT, VERSION = "drsplat motion", "1"

@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..scene.views import View
-from .checksums import check_seal, sealed
 from .json_files import as_document, as_fields, as_kind, read_json, write_json
 from .photo_files import capture_folder
+from .tensors import check_seal, sealed
 
 RECORD = "photograph.json"
 FORMAT, VERSION = "drsplat photograph", 1

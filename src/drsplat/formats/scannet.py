@@ -94,7 +94,9 @@ def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
 
     Raises: InputError: there is no such file. FormatError: damaged; the message names the group and the field.
     """
-    of_vertex = _segment_ids(segments)
+    of_vertex = _whole(
+        as_fields(read_json(segments), str(segments), segIndices=object)["segIndices"], f"{segments}: segIndices"
+    )
     groups = as_fields(read_json(aggregation), str(aggregation), segGroups=list[_Group])["segGroups"]
     present, inverse = np.unique(of_vertex, return_inverse=True)
     owner = np.full(len(present), -1, np.int32)
@@ -155,10 +157,6 @@ def _vertices(path: Path) -> np.ndarray:
         return read_elements(data, read_header(data), {"vertex"})["vertex"]
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from error
-
-
-def _segment_ids(path: Path) -> np.ndarray:
-    return _whole(as_fields(read_json(path), str(path), segIndices=object)["segIndices"], f"{path}: segIndices")
 
 
 def _whole(numbers: object, where: str) -> np.ndarray:

@@ -74,16 +74,12 @@ def sog_files(scene: LabelledScene) -> dict[str, bytes]:
 
     Raises: InputError: a scene without Gaussians, or too many for the format's pictures or for an object's number.
     """
-    refuse_other_counts(len(scene.gaussians))
+    count = len(scene.gaussians)
+    if not 0 < count <= MAX_ROWS:
+        raise InputError(f"SOG: expected 1 to {MAX_ROWS:,} Gaussians, got {count:,}: cut the scene into tiles")
     refuse_unwritable(scene.gaussians)
     gaussians = replace(scene.gaussians, extra=scene.columns).subset(morton_order(scene.gaussians.means))
     return ordered_files(gaussians, labels_bytes(scene) if has_labels(scene) else b"")
-
-
-def refuse_other_counts(count: int) -> None:
-    """Check a count. Raises: InputError: no Gaussians, or more than the format's pictures hold."""
-    if not 0 < count <= MAX_ROWS:
-        raise InputError(f"SOG: expected 1 to {MAX_ROWS:,} Gaussians, got {count:,}: cut the scene into tiles")
 
 
 def ordered_files(gaussians: Gaussians, labels: bytes = b"") -> dict[str, bytes]:

@@ -80,7 +80,16 @@ def parse_spz(buffer: memoryview) -> Gaussians:
     planes, extensions, header = _planes(buffer)
     positions, alphas, colours, scales, rotations, rest = planes
     n = header.count
-    signs = _signs(extensions)
+    # The factors of x, y, z that turn the stored axes into RDF
+    system = 4  # RUB
+    for kind, content in _records(extensions):
+        if kind == COORDINATE_SYSTEM:
+            system = int.from_bytes(content[:4], "little") or system
+    if system > 8:
+        raise FormatError(f"SPZ stores axes {system}, with y and z exchanged: convert it to RUB (4) first")
+    # Bits of system - 1: right, up, front. RDF is right, not up, front.
+    stored = [(system - 1) >> bit & 1 for bit in range(3)]
+    signs = np.where(np.array(stored) == (1, 0, 1), 1, -1).astype(np.float32)
     if header.degree > 3:
         warn("SH coefficients of degree 4 (9 per channel) were left out", 3)
     log_scales = scales.reshape(n, 3).astype(np.float32) / 16 - 10
@@ -205,19 +214,6 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
     if bytes(buffer[offset : offset + MAX_EXTENSION_BYTES]).strip(b"\0") or len(buffer) - offset > MAX_EXTENSION_BYTES:
         raise FormatError(f"SPZ holds {len(buffer) - offset} bytes after its last stream: its header is damaged")
     return (planes, bytes(buffer[HEADER_BYTES:contents]) if header.flags & HAS_EXTENSIONS else b"", header)
-
-
-def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
-    """Return the factors of x, y, z that turn the stored axes into RDF."""
-    system = 4  # RUB
-    for kind, content in _records(extensions):
-        if kind == COORDINATE_SYSTEM:
-            system = int.from_bytes(content[:4], "little") or system
-    if system > 8:
-        raise FormatError(f"SPZ stores axes {system}, with y and z exchanged: convert it to RUB (4) first")
-    # Bits of system - 1: right, up, front. RDF is right, not up, front.
-    stored = [(system - 1) >> bit & 1 for bit in range(3)]
-    return np.where(np.array(stored) == (1, 0, 1), 1, -1).astype(np.float32)
 
 
 def _first_three(plane: UInt8[np.ndarray, " _"]) -> Quats:

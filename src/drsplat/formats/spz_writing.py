@@ -15,7 +15,7 @@ import struct
 
 import numpy as np
 
-from ..base.arrays import Quats, UInt8, Vectors
+from ..base.arrays import Quats, UInt8
 from ..errors import FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.labelled import LabelledScene
@@ -102,7 +102,15 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
     """Return the first 16 bytes and the planes in their order."""
     if not 0 <= degree <= gaussians.sh_degree:
         raise InputError(f"degree: expected 0 to {gaussians.sh_degree}, which the scene has, got {degree}")
-    bits = _fractional_bits(gaussians.means)
+    # The number of fractional bits with which the farthest position still fits into 24
+    farthest = float(np.abs(gaussians.means).max(initial=0))
+    if not len(gaussians) or farthest > MAX_FIXED_POSITION:
+        raise InputError(
+            f"SPZ holds positions within {MAX_FIXED_POSITION:,} units of the scene's origin, got {len(gaussians):,} "
+            f"Gaussians up to {farthest:,.0f} away: leave out what lies far off"
+        )
+    spare = np.log2(MAX_FIXED_POSITION / farthest) if farthest > 0 else MAX_FRACTIONAL_BITS
+    bits = int(np.clip(np.floor(spare), 0, MAX_FRACTIONAL_BITS))
     flags |= ANTIALIASED if gaussians.antialiased else 0
     whole = np.rint((gaussians.means * TO_RUB).astype(np.float64) * 2.0**bits).astype("<i4")
     # quantise coefficients, with those negated that are odd in the axes which SPZ turns
@@ -117,18 +125,6 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
         _smallest_three(gaussians.quats * np.array([1, *TO_RUB], np.float32)).tobytes(),
         _byte(rest * signs[None, :, None] * 128 + 128).tobytes(),
     )
-
-
-def _fractional_bits(means: Vectors) -> int:
-    """Return the number of fractional bits with which the farthest position still fits into 24."""
-    farthest = float(np.abs(means).max(initial=0))
-    if not len(means) or farthest > MAX_FIXED_POSITION:
-        raise InputError(
-            f"SPZ holds positions within {MAX_FIXED_POSITION:,} units of the scene's origin, got {len(means):,} "
-            f"Gaussians up to {farthest:,.0f} away: leave out what lies far off"
-        )
-    spare = np.log2(MAX_FIXED_POSITION / farthest) if farthest > 0 else MAX_FRACTIONAL_BITS
-    return int(np.clip(np.floor(spare), 0, MAX_FRACTIONAL_BITS))
 
 
 def _smallest_three(quats: Quats) -> np.ndarray:

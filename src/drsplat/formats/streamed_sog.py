@@ -217,7 +217,14 @@ class _Writer:
                 run = coarser(run, max(1, len(run) // LEVEL_RATIO), run.extra.get("object_id")).gaussians
             run = run.subset(morton_order(run.means))
             boxes.append(extent_of(run))
-            levels[str(level)] = self._placed(run, level)
+            # into the chunk of its level that is being filled
+            chunk = self.open_chunks.get(level) or self._begun(level)
+            place = {"file": chunk.number, "offset": chunk.count, "count": len(run)}
+            chunk.runs.append(run)
+            self.counts[level] += len(run)
+            if chunk.count >= self.chunk_rows:
+                self._write(self.open_chunks.pop(level))
+            levels[str(level)] = place
         low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
         ends = {"min": low, "max": high}
         self.leaves.append(
@@ -246,16 +253,6 @@ class _Writer:
         files = {LOD_META: json.dumps(document, separators=(",", ":")).encode()}
         _write_files(self.folder, files | ({LABELS: labels} if labels else {}))
 
-    def _placed(self, run: Gaussians, level: int) -> dict[str, int]:
-        """Put a run into the chunk of its level that is being filled; returns where it is there."""
-        chunk = self.open_chunks.get(level) or self._begun(level)
-        place = {"file": chunk.number, "offset": chunk.count, "count": len(run)}
-        chunk.runs.append(run)
-        self.counts[level] += len(run)
-        if chunk.count >= self.chunk_rows:
-            self._write(self.open_chunks.pop(level))
-        return place
-
     def _begun(self, level: int) -> _Chunk:
         number = sum(name.startswith(f"{level}_") for name in self.filenames)
         chunk = self.open_chunks[level] = _Chunk(f"{level}_{number}", len(self.filenames))
@@ -264,13 +261,9 @@ class _Writer:
 
     def _write(self, chunk: _Chunk) -> None:
         (self.folder / chunk.name).mkdir()
-        _write_files(self.folder / chunk.name, ordered_files(_joined(chunk.runs)))
-
-
-def _joined(runs: Sequence[Gaussians]) -> Gaussians:
-    """Return runs of one origin as one, which keeps that origin."""
-    whole = concatenated([replace(run, origin=np.zeros(3)) for run in runs])
-    return replace(whole, means=np.concatenate([run.means for run in runs]), origin=runs[0].origin)
+        whole = concatenated([replace(run, origin=np.zeros(3)) for run in chunk.runs])
+        means = np.concatenate([run.means for run in chunk.runs])  # of one origin, which the whole keeps
+        _write_files(self.folder / chunk.name, ordered_files(replace(whole, means=means, origin=chunk.runs[0].origin)))
 
 
 def _write_files(folder: Path, files: Mapping[str, bytes]) -> None:

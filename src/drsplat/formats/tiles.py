@@ -17,15 +17,22 @@ import numpy as np
 
 from ..base.arrays import Arrays, Numbers, Points, Vector3, Vectors
 from ..errors import FormatError, InputError
-from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
+from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled, near_plane
 from ..scene.morton import morton_order
 from ..scene.parted import Parted
-from ..scene.placing import near_plane
 from .activation import refuse_unwritable
-from .checksums import DOCUMENT, check_document, check_seal, header_checksum, sealed
 from .field_folder import read_manifest, replacing_folder
 from .json_files import as_document, as_fields, as_kind, excerpt, write_json, written_name
-from .tensors import check_tensors, read_tensors, write_tensors
+from .tensors import (
+    DOCUMENT,
+    check_document,
+    check_seal,
+    check_tensors,
+    header_checksum,
+    read_tensors,
+    sealed,
+    write_tensors,
+)
 
 TILES = "tiles.json"
 FORMAT, VERSION = "drsplat tiles", 1

@@ -17,9 +17,8 @@ import numpy as np
 from ..base.arrays import Float64
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError, InputError, placed, warn
-from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated
-from ..scene.labelled import PLY_UP, LabelledScene, Thing, places_of
+from ..scene.labelled import PLY_UP, Annotation, LabelledScene, Thing, places_of
 from .activation import checked
 from .usd_library import MARK as CRATE
 from .usd_library import library_layer

@@ -179,23 +179,20 @@ class _Parser:
         if start in (b'"', b"'"):
             return self._string()
         if start in (b"[", b"("):
-            return self._numbers(kind)
+            # Read an array or tuple of numbers; of anything else (text, arrays in arrays) return None
+            begin, end = self.at, _END_OF_ARRAY.search(self.buffer, self.at)
+            if self._peek() == b"[" and end and not _NO_NUMBERS.search(self.buffer[begin + 1 : end.start()]):
+                self.at = end.end()
+            else:
+                self._skip()
+            text = self.buffer[begin + 1 : self.at - 1]
+            return None if _NO_NUMBERS.search(text) else _numbers_in(text, _dtype_of(kind))
         word = _SCALAR.match(self.buffer, self.at)
         if word is None:
             self._skip()
             return None
         self.at = word.end()
         return _scalar(bytes(word[0]))
-
-    def _numbers(self, kind: str) -> np.ndarray | None:
-        """Read an array or tuple of numbers; of anything else (text, arrays in arrays) return None."""
-        begin, end = self.at, _END_OF_ARRAY.search(self.buffer, self.at)
-        if self._peek() == b"[" and end and not _NO_NUMBERS.search(self.buffer[begin + 1 : end.start()]):
-            self.at = end.end()
-        else:
-            self._skip()
-        text = self.buffer[begin + 1 : self.at - 1]
-        return None if _NO_NUMBERS.search(text) else _numbers_in(text, _dtype_of(kind))
 
     def _skip(self) -> None:
         """Step over a value: a word, text, or brackets with all in them."""
@@ -205,7 +202,9 @@ class _Parser:
             if start in (b'"', b"'"):
                 self._string()
             elif start == b"@":
-                self._asset()
+                if self._matched(_ASSET, "a path between @")[0] == b"@@@":
+                    end = _END_OF_ASSET.search(self.buffer, self.at)
+                    self.at = end.end() if end else len(self.buffer)
                 if not closing and self._after_space() == b"<":
                     continue
             elif start == b"<":
@@ -247,11 +246,6 @@ class _Parser:
             return _ESCAPE.sub(_unescaped, raw).decode() if b"\\" in raw else raw.decode()
         except UnicodeDecodeError:
             self._fail("text in UTF-8")
-
-    def _asset(self) -> None:
-        if self._matched(_ASSET, "a path between @")[0] == b"@@@":
-            end = _END_OF_ASSET.search(self.buffer, self.at)
-            self.at = end.end() if end else len(self.buffer)
 
     def _word(self) -> bytes:
         self._space()

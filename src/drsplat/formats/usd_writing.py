@@ -16,9 +16,8 @@ import numpy as np
 
 from ..base.arrays import Float32
 from ..errors import InputError
-from ..scene.annotations import Annotation
 from ..scene.gaussians import Gaussians, covariances_of
-from ..scene.labelled import LabelledScene, Thing
+from ..scene.labelled import Annotation, LabelledScene, Thing
 from .activation import refuse_unwritable
 from .axes import standing_up
 from .json_files import is_text
@@ -110,7 +109,7 @@ def layer_text(scene: LabelledScene, columns: Iterable[str]) -> Iterator[str]:
     yield from _scope("groups", "group", scene.groups)
     yield from _scope("objects", "object", scene.things)
     yield from _scope("matches", "match", scene.matches)
-    yield from _notes(scene.annotations)
+    yield from _notes(scene.labelled)
     yield "}\n"
 
 

@@ -9,10 +9,9 @@ import numpy as np
 from ..base.arrays import Embeddings
 from ..errors import FormatError, InputError, did_you_mean
 from ..scene.encoders import EncoderIdentity
-from .checksums import check_checksums
 from .json_files import as_kind, as_vector, document_in, excerpt, is_text, read_json
 from .sog import is_sog_meta
-from .tensors import map_tensors, write_tensors
+from .tensors import check_checksums, map_tensors, write_tensors
 
 TENSOR = "embeddings"
 

@@ -21,8 +21,7 @@ from ..base.arrays import (
     Vector3,
 )
 from ..errors import InputError
-from ..scene.gaussians import Gaussians, covariances_of
-from ..scene.placing import PUBLISHED_NEAR
+from ..scene.gaussians import PUBLISHED_NEAR, Gaussians, covariances_of
 from ..scene.views import View
 
 BLOCK_GAUSSIANS = 1 << 13  # whose covariances are computed at once

@@ -12,7 +12,7 @@ import numpy as np
 from .. import _native
 from ..base.arrays import Float32, Harmonics, Image, Numbers, PixelNumbers, Quats, Vectors
 from ..errors import InputError
-from ..scene.placing import PUBLISHED_NEAR
+from ..scene.gaussians import PUBLISHED_NEAR
 from ..scene.views import View
 from .splats import camera_numbers, checked_isa
 

@@ -102,7 +102,10 @@ class Contrast:
         values, usual = np.empty(len(scores), np.float32), np.float32(query @ self.usual)
         for begin in range(0, len(scores), ROWS_AT_ONCE):
             run = slice(begin, begin + ROWS_AT_ONCE)
-            margins = (scores[run] - usual - self._level(near, rank, run)) / self.spread
+            # Per row of a run the score of the `rank`-th best word that is not near, or of the last one kept
+            better = np.cumsum(np.take(~near, self.words[run].T), axis=0, dtype=np.uint16) < rank
+            places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
+            margins = (scores[run] - usual - np.asarray(self.scores[run][np.arange(len(places)), places])) / self.spread
             values[run] = 1 / (1 + np.exp(-np.clip(margins, -50, 50)))
             release(self.scores, self.words)
         return self._of_each(values)
@@ -152,12 +155,6 @@ class Contrast:
         """Return what the words reach at other unit features, held against the same pictures."""
         scores, words = _best_words_of(features, self.vectors, self.usual)
         return replace(self, scores=scores, words=words)
-
-    def _level(self, near: Flags, rank: int, run: slice) -> Float32[np.ndarray, " r"]:
-        """Return per row of a run the score of the `rank`-th best word that is not near, or of the last one kept."""
-        better = np.cumsum(np.take(~near, self.words[run].T), axis=0, dtype=np.uint16) < rank
-        places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
-        return np.asarray(self.scores[run][np.arange(len(places)), places])
 
 
 def _near(vectors: Embeddings, query: Embedding) -> Flags:

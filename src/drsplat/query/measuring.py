@@ -6,7 +6,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ..base.arrays import Embedding, Embeddings, Flags, Numbers, OtherFlags, OtherPixels, Pixels
+from ..base.arrays import Embedding, Embeddings, Flags, Numbers, OtherFlags, Pixels
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..formats.vocabulary import VocabularyEncoder
@@ -172,18 +172,11 @@ class Measuring:
     def of(self, query: Query) -> Answer:
         """Return the answer to a text, a picture or a vector. Raises: as of each of these."""
         if query.text is not None:
-            return self.of_text(query.text)
+            return next(iter(self.of_texts([query.text])))
         if query.image is not None:
-            return self.of_image(query.image)
+            return self.of_vector(embedded_image(self.background.encoder, query.image))
         assert query.vector is not None
         return self.of_vector(query.vector)
-
-    def of_text(self, text: str) -> Answer:
-        """Answer a text; "mug, not red" leaves out what "red mug" fits as well.
-
-        Raises: InputError: the encoder does not know the words. MismatchError: another encoder.
-        """
-        return next(iter(self.of_texts([text])))
 
     def of_texts(self, texts: Sequence[str]) -> Iterator[Answer]:
         """Answer each of several texts, scored several at a time."""
@@ -197,10 +190,6 @@ class Measuring:
                 doubt = ". ".join(filter(None, (answer.doubt, doubt_of(encoder, field, wanted))))
                 answer = replace(answer, doubt=doubt, list_doubt=self.background.list_doubt)
                 yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
-
-    def of_image(self, picture: OtherPixels) -> Answer:
-        """Answer a picture of a thing. Raises: InputError: an encoder of words only. MismatchError: another encoder."""
-        return self.of_vector(embedded_image(self.background.encoder, picture))
 
     def of_vector(self, vector: Embedding) -> Answer:
         """Answer a vector of the encoder's space, or a feature of the field itself.

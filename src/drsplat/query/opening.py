@@ -16,8 +16,8 @@ from ..formats.georeference import read_georeference
 from ..formats.known import SCENE_SUFFIXES
 from ..formats.live_views import ADDED_POSES
 from ..formats.moving_scenes import is_moving, is_sequence, read_scene
-from ..formats.recognising import FIELD_SUFFIX, MOTION, Kind, mistaken, recognised
 from ..formats.scan_record import MODEL, read_scan_record
+from ..formats.scenes import FIELD_SUFFIX, MOTION, Kind, mistaken, recognised
 from ..formats.tiles import TILES, Tiles, read_tiles
 from ..photos.models.loading import DEFAULT_ENCODER, load_encoder
 from ..scene.gaussians import Gaussians

@@ -17,7 +17,6 @@ from ..base.arrays import (
     FloatRows,
     Ids,
     Indices,
-    Int8,
     Numbers,
     OtherIds,
     OtherIndices,
@@ -81,7 +80,10 @@ class Packed:
     def of(cls, vectors: Embeddings) -> "Packed":
         """Return vectors rounded, the largest number of each dimension 31 or -31."""
         steps = np.maximum(np.abs(vectors).max(0, initial=0) / LARGEST, 1e-12).astype(np.float32)
-        return cls(_packed(np.round(vectors / steps).astype(np.int8)), steps)
+        numbers = np.round(vectors / steps).astype(np.int8)
+        padded = np.pad(numbers + LARGEST, ((0, 0), (0, -numbers.shape[1] % 4))).astype(np.uint8)
+        a, b, c, last = np.split(padded, 4, axis=1)
+        return cls(np.concatenate([a | last << 6, b | last >> 2 << 6, c | last >> 4 << 6], axis=1), steps)
 
     def __len__(self) -> int:
         return len(self.data)
@@ -110,12 +112,6 @@ class Packed:
 
 def _quarter(dim: int) -> int:
     return -(-dim // 4)
-
-
-def _packed(numbers: Int8[np.ndarray, "n D"]) -> ByteRows:
-    padded = np.pad(numbers + LARGEST, ((0, 0), (0, -numbers.shape[1] % 4))).astype(np.uint8)
-    a, b, c, last = np.split(padded, 4, axis=1)
-    return np.concatenate([a | last << 6, b | last >> 2 << 6, c | last >> 4 << 6], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +327,21 @@ class SketchedScene:
 
     def __init__(self, sketch: Sketch, encoder: EncoderIdentity, source: Callable[[], Encoder]) -> None:
         self._sketch = sketch
-        self._background = _Sketched(_field_of(sketch, encoder), source, threads=1, sketch=sketch)
+        # A field with copies of the sketch's vectors as its features; of its objects the sketch tells
+        of_row = np.repeat(np.arange(len(sketch.counts), dtype=np.int32), sketch.counts)
+        field = LanguageField(
+            np.arange(len(of_row), dtype=np.uint32),
+            _Copies(sketch.features, of_row),
+            encoder,
+            scene="",
+            num_gaussians=len(of_row),
+        )
+        self._background = _Sketched(
+            field.with_contrast(unit(sketch.words), ("",) * len(sketch.words)) if len(sketch.words) else field,
+            source,
+            threads=1,
+            sketch=sketch,
+        )
 
     def answers(self, query: Query) -> Flags:
         """Return for each object whether the scene answers a text, a vector or a picture with it.
@@ -349,16 +359,3 @@ class SketchedScene:
         numbers = sketch.numbers[answer.values[sketch.firsts] > least]
         result[numbers[numbers >= 0]] = True
         return result & (sketch.solid >= MIN_GAUSSIANS)
-
-
-def _field_of(sketch: Sketch, encoder: EncoderIdentity) -> LanguageField:
-    """Return a field with copies of the sketch's vectors as its features; of its objects the sketch tells."""
-    of_row = np.repeat(np.arange(len(sketch.counts), dtype=np.int32), sketch.counts)
-    field = LanguageField(
-        np.arange(len(of_row), dtype=np.uint32),
-        _Copies(sketch.features, of_row),
-        encoder,
-        scene="",
-        num_gaussians=len(of_row),
-    )
-    return field.with_contrast(unit(sketch.words), ("",) * len(sketch.words)) if len(sketch.words) else field

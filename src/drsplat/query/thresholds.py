@@ -29,7 +29,8 @@ def automatic_threshold(scores: Scores, cut: float = CUT_SHARE, *, peak: int = P
 
     Raises: InputError: no scores, or some that are not finite.
     """
-    middle, height = _median(scores), peak_score(scores, peak)
+    _check(scores)
+    middle, height = _largest(scores, (len(scores) + 1) // 2), peak_score(scores, peak)
     return float(middle + cut * (height - middle)) if height > middle else float(scores.max())
 
 
@@ -80,8 +81,3 @@ def _largest(scores: Scores, rank: int) -> float:
     """Return the `rank`-th largest score, counted from 1."""
     at = len(scores) - rank
     return float(np.partition(scores, at)[at])
-
-
-def _median(scores: Scores) -> float:
-    _check(scores)
-    return _largest(scores, (len(scores) + 1) // 2)

@@ -49,7 +49,16 @@ def coarser(gaussians: Gaussians, count: int, within: Int[np.ndarray, " n"] | No
     group_of = np.arange(len(gaussians))
     while len(gaussians) > count:
         most = min(len(gaussians) - count, max(1, int(MAX_MERGED_SHARE * len(gaussians))))
-        step = _paired(gaussians, most, kinds)
+        # The group of each row: up to `most` pairs, and the others alone
+        first, second = _edges(gaussians.means)
+        alike = kinds[first] == kinds[second]
+        first, second = first[alike], second[alike]
+        order = np.argsort(costs(gaussians, first, second), kind="stable")
+        chosen = _matched(len(gaussians), first[order], second[order])[:most]
+        leader = np.arange(len(gaussians))
+        leader[second[order][chosen]] = first[order][chosen]
+        numbers = np.cumsum(leader == np.arange(len(leader))) - 1
+        step = numbers[leader]
         if step.max() + 1 == len(gaussians):
             break
         kinds = kinds[np.unique(step, return_index=True)[1]]
@@ -142,19 +151,6 @@ def quaternions_of(rotations: Matrices) -> Quats:
     largest = np.einsum("iin->in", products).argmax(0)
     quats = products[largest, :, np.arange(len(rotations))]
     return np.asarray(quats / np.linalg.norm(quats, axis=1, keepdims=True), np.float32)
-
-
-def _paired(gaussians: Gaussians, most: int, kinds: Int[np.ndarray, " n"]) -> Indices:
-    """Return the group of each row: up to `most` pairs, and the others alone."""
-    first, second = _edges(gaussians.means)
-    alike = kinds[first] == kinds[second]
-    first, second = first[alike], second[alike]
-    order = np.argsort(costs(gaussians, first, second), kind="stable")
-    chosen = _matched(len(gaussians), first[order], second[order])[:most]
-    leader = np.arange(len(gaussians))
-    leader[second[order][chosen]] = first[order][chosen]
-    numbers = np.cumsum(leader == np.arange(len(leader))) - 1
-    return numbers[leader]
 
 
 def _edges(means: Vectors) -> tuple[OtherIndices, OtherIndices]:

@@ -38,7 +38,12 @@ class Moving:
     motion: Motion
 
     def __post_init__(self) -> None:
-        check_times(self.times)
+        times = self.times
+        if times.ndim != 1 or times.dtype != np.float64 or len(times) < 2:
+            raise InputError(f"times: expected two or more float64 numbers, got {times.dtype} {times.shape}")
+        if not np.isfinite(times).all() or not (times[1:] > times[:-1]).all():
+            wrong = int(np.argmin(np.isfinite(times) & np.append(True, times[1:] > times[:-1])))
+            raise InputError(f"times: expected finite numbers that increase; number {wrong} is {times[wrong]:g}")
 
     def __repr__(self) -> str:
         low, high = self.span
@@ -136,15 +141,6 @@ def counted_from(gaussians: Gaussians, origin: Vector3) -> Gaussians:
     if np.array_equal(gaussians.origin, origin):
         return gaussians
     return replace(gaussians, means=(gaussians.positions - origin).astype(np.float32), origin=origin)
-
-
-def check_times(times: Doubles) -> None:
-    """Check times. Raises: InputError: fewer than two, not finite, or not increasing."""
-    if times.ndim != 1 or times.dtype != np.float64 or len(times) < 2:
-        raise InputError(f"times: expected two or more float64 numbers, got {times.dtype} {times.shape}")
-    if not np.isfinite(times).all() or not (times[1:] > times[:-1]).all():
-        wrong = int(np.argmin(np.isfinite(times) & np.append(True, times[1:] > times[:-1])))
-        raise InputError(f"times: expected finite numbers that increase; number {wrong} is {times[wrong]:g}")
 
 
 def _linear(

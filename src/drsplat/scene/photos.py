@@ -142,7 +142,11 @@ def load_image(view: View) -> Pixels:
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
     with _opened(view.image_path) as photo:
-        _check_cost(photo, view.image_path)
+        try:
+            with open_file(view.image_path) as file:
+                check_cost(photo, file)
+        except InputError as error:
+            raise FormatError(f"{view.image_path}: {error}") from None
         rgb = rgb_of(photo)
         if rgb.size != view.size:
             rgb = rgb.resize(view.size, Image.Resampling.BICUBIC)
@@ -249,14 +253,6 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise FormatError(f"{path}: is no photo ({'/'.join(PHOTO_FORMATS)})") from None
     except Exception as error:  # decoders of damaged files raise anything, from struct.error to KeyError
         raise FormatError(f"{path}: cannot be read as a photo ({'/'.join(PHOTO_FORMATS)}): {error}") from error
-
-
-def _check_cost(photo: Image.Image, path: Path) -> None:
-    try:
-        with open_file(path) as file:
-            check_cost(photo, file)
-    except InputError as error:
-        raise FormatError(f"{path}: {error}") from None
 
 
 def is_wide(coded: Image.Image) -> bool:

@@ -7,8 +7,7 @@ import numpy as np
 
 from ..base.arrays import Float32, Float64, Harmonics, Matrix3, Matrix4, Points, Quats, Vector3
 from ..errors import InputError
-from .gaussians import SH_C0, Gaussians
-from .placing import local_origin
+from .gaussians import SH_C0, Gaussians, local_origin
 
 MATRIX_TOLERANCE = 1e-4  # matrices come from text with few digits
 SH_SLICES = (slice(1, 4), slice(4, 9), slice(9, 16))  # harmonics of degrees 1 to 3

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .gaussians import Gaussians
-from .placing import MIN_SIZED_GAUSSIANS, middle_of, rounding, size_of
+from .gaussians import MIN_SIZED_GAUSSIANS, Gaussians, middle_of, rounding, size_of
 from .views import View
 
 MIN_SIZE = 1e-3  # scene units

@@ -9,7 +9,7 @@ import numpy as np
 from ..base.arrays import Image, UInt8
 from ..drawing.pictures import as_pixels, write_picture
 from ..kernels.training import SceneParameters, forward
-from ..scene.placing import PUBLISHED_NEAR
+from ..scene.gaussians import PUBLISHED_NEAR
 from ..scene.views import View
 from .metrics import psnr, ssim
 from .settings import TrainingSettings

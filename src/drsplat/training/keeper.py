@@ -15,9 +15,8 @@ import numpy as np
 from ..base.arrays import ArraysByName, Vector3
 from ..errors import FormatError, InputError, MismatchError, warn
 from ..formats.captures import SparsePoints
-from ..formats.checksums import hash_file
 from ..formats.ply import read_point_ply
-from ..formats.tensors import check_tensors, read_tensors, write_tensors
+from ..formats.tensors import check_tensors, hash_file, read_tensors, write_tensors
 from ..scene.views import View
 from .evaluation import Evaluation, evaluate
 from .model_folder import ModelFolder

@@ -23,17 +23,15 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..formats.cameras_json import write_cameras_json
 from ..formats.captures import SparsePoints
-from ..formats.claiming import LOCK, claimed_folder
 from ..formats.gaussian_ply import write_gaussians
 from ..formats.json_files import write_json
 from ..formats.mask_files import FOLDER as MASKS
 from ..formats.mask_files import photo_folder
 from ..formats.ply import write_vertices
-from ..formats.replacing import replacing
-from ..scene.gaussians import Gaussians
-from ..scene.placing import local_origin
+from ..formats.poses import write_cameras_json
+from ..formats.replacing import LOCK, claimed_folder, replacing
+from ..scene.gaussians import Gaussians, local_origin
 from ..scene.views import View
 from .settings import TrainingSettings
 

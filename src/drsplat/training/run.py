@@ -18,8 +18,7 @@ from ..base.arrays import Anywhere, Arrays, ArraysByName, Float32, Image, Vector
 from ..errors import DrSplatError, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import Rates, TrainingView, forward, photometric_loss
-from ..scene.gaussians import Gaussians
-from ..scene.placing import near_plane
+from ..scene.gaussians import Gaussians, near_plane
 from ..scene.views import View
 from .density import AdaptiveDensity, MonteCarlo
 from .evaluation import Evaluation

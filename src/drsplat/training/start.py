@@ -12,9 +12,8 @@ from ..base.arrays import Vector3
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import SceneParameters
-from ..scene.gaussians import SH_C0, SH_COEFFICIENTS
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, local_origin, size_of
 from ..scene.photo_masks import views_with_something
-from ..scene.placing import local_origin, size_of
 from ..scene.views import View
 from .metrics import WINDOW
 from .settings import TrainingSettings

@@ -14,9 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ...errors import DrSplatError, FormatError, InputError, MismatchError
-from ...formats.claiming import claimed_output
 from ...formats.json_files import as_count, as_matrix, as_number, as_vector, excerpt, read_json, runs_of, spans_of_runs
-from ...formats.replacing import replacing
+from ...formats.replacing import claimed_output, replacing
 from ...formats.scenes import companion, read_gaussians
 from ...scene.gaussians import Gaussians
 from ...scene.parted import AnyGaussians

@@ -44,16 +44,7 @@ class FillRecord:
 
     def apply(self, draft: Draft) -> None:
         """Remove and clone the rows. Raises: InputError: rows that are not there, or more than there may be."""
-        self._check(draft)
-        draft.present[ids_of(self.removed)] = False
-        if self.clones:
-            added = draft.add(draft.part(np.concatenate([ids_of(one.spans) for one in self.clones])))
-            by = np.stack([one.by for one in self.clones])
-            draft.shift(added, np.repeat(by, [len(one) for one in self.clones], axis=0))
-            draft.homes[added] = draft.means[added]
-
-    def _check(self, draft: Draft) -> None:
-        """Compare all numbers with the draft before any array of their size is made."""
+        # Compare all numbers with the draft before any array of their size is made
         spans = (self.removed, *(one.spans for one in self.clones))
         end = max((int(one[-1, 1]) for one in spans if len(one)), default=0)
         if end > len(draft):
@@ -61,3 +52,9 @@ class FillRecord:
                 f"fill: its record has row {end - 1:,} of a scene of {len(draft):,}: undo this edit and make it anew"
             )
         draft.check_room(sum(map(len, self.clones)))
+        draft.present[ids_of(self.removed)] = False
+        if self.clones:
+            added = draft.add(draft.part(np.concatenate([ids_of(one.spans) for one in self.clones])))
+            by = np.stack([one.by for one in self.clones])
+            draft.shift(added, np.repeat(by, [len(one) for one in self.clones], axis=0))
+            draft.homes[added] = draft.means[added]

@@ -291,7 +291,9 @@ class Ground:
         low = np.flatnonzero(np.abs(self.heights) <= MIN_STANDING_TOLERANCES * self.plane.tolerance)
         goes = self.grid.among(self.hole, self.places[low])
         if self.owners is not None:
-            goes &= _is_of_surface(self.owners[low], goes)
+            owners = self.owners[low]
+            _, which, counts = np.unique(owners, return_inverse=True, return_counts=True)
+            goes &= (owners < 0) | (2 * np.bincount(which[goes], minlength=len(counts)) <= counts)[which]
         return low[goes]
 
     @cached_property
@@ -332,12 +334,6 @@ def is_flat(scene: Gaussians, plane: Plane) -> Flags:
     flat = np.einsum("i,nij,j->n", plane.normal, full, plane.normal) <= plane.tolerance**2
     sizes = np.sort(scene.scales, axis=1)
     return flat & (sizes[:, 2] <= MAX_ELONGATION * sizes[:, 1])
-
-
-def _is_of_surface(owners: WholeNumbers, in_hole: Flags) -> Flags:
-    """Return which Gaussians about a plane are of no object, or of one that goes on beside the hole, like a floor."""
-    _, which, counts = np.unique(owners, return_inverse=True, return_counts=True)
-    return (owners < 0) | (2 * np.bincount(which[in_hole], minlength=len(counts)) <= counts)[which]
 
 
 def _distances(places: Places, points: OtherPoints) -> Doubles:

@@ -20,12 +20,12 @@ from ...drawing.heat import class_colors
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
 from ...field.evidence.columns import digest_of
-from ...formats.claiming import claimed_folder
 from ...formats.embedding_record import open_record
 from ...formats.field_folder import replacing_folder
 from ...formats.langsplat import FeatureFolder, read_features
 from ...formats.mask_files import SUFFIX
 from ...formats.photo_files import listed
+from ...formats.replacing import claimed_folder
 from ...kernels import heaviest_labels, render_channels, topk_contributions
 from ...photos.embedding.embed import finish_photo, photos_by_stem
 from ...photos.embedding.keeping import WithoutEmbedding

@@ -23,10 +23,9 @@ from ...formats.streamed_sog import LOD_META, write_streamed_sog
 from ...formats.tiles import Tiles
 from ...formats.tiles3d_writing import TiledScene, write_tiles3d
 from ...query import Answer, Match, Query, Scene
-from ...scene.annotations import Annotation
 from ...scene.eight_bits import fitted_to_8_bits
 from ...scene.gaussians import Gaussians
-from ...scene.labelled import PLY_UP, LabelledScene, numbers_of, places_of
+from ...scene.labelled import PLY_UP, Annotation, LabelledScene, numbers_of, places_of
 from ...scene.moving import Moving, canonical_of
 from ...scene.views import View
 from ..editing import EditFile, EditList, Rows
@@ -351,7 +350,7 @@ def _of_tiles(path: Path, source: Tiles, kind: str, num_things: int = 0) -> Expo
 
 def described(path: Path, scene: LabelledScene, kind: str) -> Exported:
     """Return what a file, or a folder, that was written of a scene has in it; kind: one of `formats.known.WRITERS`."""
-    counts = (len(scene.gaussians), len(scene.things), len(scene.matches), len(scene.annotations))
+    counts = (len(scene.gaussians), len(scene.things), len(scene.matches), len(scene.labelled))
     return Exported(path, kind.removeprefix("."), _size(path), *counts, scene.num_edits, lacks(kind, scene))
 
 

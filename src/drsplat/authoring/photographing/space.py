@@ -9,8 +9,7 @@ from scipy import ndimage
 
 from ...base.arrays import Flags, Numbers, OtherPoints, Points, Vector3
 from ...kernels import SplatArrays, render_channels, splat_arrays
-from ...scene.gaussians import Gaussians
-from ...scene.placing import MIN_SIZED_GAUSSIANS, SOLID_OPACITY
+from ...scene.gaussians import MIN_SIZED_GAUSSIANS, SOLID_OPACITY, Gaussians
 from ..filming.looking import looking_at
 
 VOXELS_PER_SIDE = 48  # along the longest side of the scene's box

@@ -9,20 +9,19 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Colors, Points, Vector3
+from ...base.arrays import Points, Vector3
 from ...drawing.pictures import as_pixels, write_picture
 from ...drawing.rendering import render
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
-from ...formats.claiming import claimed_output
 from ...formats.colmap import read_colmap
 from ...formats.colmap_binary import write_colmap
 from ...formats.field_folder import refuse_to_replace_others, replacing_folder
 from ...formats.json_files import written_name
 from ...formats.rendering_record import RECORD, write_rendering_record
-from ...scene.gaussians import SH_C0, Gaussians, ShapesDigest
+from ...formats.replacing import claimed_output
+from ...scene.gaussians import SH_C0, SOLID_OPACITY, Gaussians, ShapesDigest
 from ...scene.moving import Moving, canonical_of
-from ...scene.placing import SOLID_OPACITY
 from ...scene.views import View
 from ..filming.looking import UP_WITHOUT_VIEWS
 from ..filming.paths import CameraPath
@@ -173,21 +172,17 @@ def _take(space: Space, views: Sequence[View], settings: PhotographSettings, fol
     ]
     (folder / MODEL).mkdir(parents=True)
     (folder / IMAGES).mkdir()
-    write_colmap(folder / MODEL, named, *_points(space.gaussians))
+    # Centres and colours of solid Gaussians, evenly chosen where there are many
+    (solid,) = np.nonzero(space.gaussians.opacities >= SOLID_OPACITY)
+    rows = solid if len(solid) else np.arange(len(space.gaussians))
+    rows = rows[:: -(-len(rows) // MAX_POINTS)]
+    colors = as_pixels(0.5 + np.float32(SH_C0) * space.gaussians.sh[rows, :1])
+    write_colmap(folder / MODEL, named, *(space.gaussians.positions[rows], colors[:, 0]))
     for view in track(read_colmap(folder / MODEL), "rendering"):
         drawn = render(
             space.gaussians, view, background=settings.background, threads=space.threads, splats=space.splats
         )  # fmt: skip
         write_picture(folder / IMAGES / view.name, as_pixels(drawn.rgb))
-
-
-def _points(gaussians: Gaussians) -> tuple[Points, Colors]:
-    """Return centres and colours of solid Gaussians, evenly chosen where there are many."""
-    (solid,) = np.nonzero(gaussians.opacities >= SOLID_OPACITY)
-    rows = solid if len(solid) else np.arange(len(gaussians))
-    rows = rows[:: -(-len(rows) // MAX_POINTS)]
-    colors = as_pixels(0.5 + np.float32(SH_C0) * gaussians.sh[rows, :1])
-    return gaussians.positions[rows], colors[:, 0]
 
 
 def _checksum(gaussians: Gaussians) -> str:

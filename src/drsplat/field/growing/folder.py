@@ -6,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...base.progress import Stopwatch
-from ...formats.claiming import claimed_output
-from ...formats.replacing import sweep
+from ...formats.replacing import claimed_output, sweep
 from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving, canonical_of
 from .. import LanguageField, load_field

@@ -11,9 +11,8 @@ from ...base.arrays import Indices, Numbers, Points, SmallIds, UnsignedIds, Vect
 from ...errors import InputError
 from ...formats.sources import Block
 from ...formats.tiles import Tiles, write_tiles
-from ...scene.gaussians import Gaussians, concatenated
+from ...scene.gaussians import Gaussians, concatenated, local_origin
 from ...scene.morton import morton_order
-from ...scene.placing import local_origin
 from ...scene.similarity import IDENTITY
 
 MAX_BLOCKS = 65_535

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from ...authoring.editing.targets import Target
     from ...formats.annotations import AnnotationFile
     from ...query import Scene
-    from ...scene.annotations import Annotation
     from ...scene.gaussians import Gaussians
+    from ...scene.labelled import Annotation
     from ...scene.views import View
     from .query_options import Asked
 
@@ -357,8 +357,8 @@ class _Work:
 
         from ...formats.annotations import without
         from ...kernels.boxes import box_of
-        from ...scene.annotations import Annotation
         from ...scene.boxes import solid
+        from ...scene.labelled import Annotation
 
         wanted, given = self.options.listed, self.options.asked
         if wanted.drop_annotation is not None:

@@ -266,7 +266,7 @@ def _labelled(options: Options, output: Path) -> LabelledScene:
 
 def _opened(options: Options) -> Scene | None:
     """Return the scene with its field, None for one that has none. Raises: InputError: options that need a field."""
-    from ...formats.recognising import Kind, recognised
+    from ...formats.scenes import Kind, recognised
 
     source = Path(options.source)
     if recognised(source) is Kind.FIELD or (source.is_dir() and any(source.glob("*.field"))):

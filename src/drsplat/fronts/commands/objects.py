@@ -199,7 +199,7 @@ def _with_objects(options: Options) -> Scene:
     A scene in tiles is not loaded for it. A run that was killed goes on with the blocks, or the photos, that it had
     finished.
     """
-    from ...formats.claiming import claimed_output
+    from ...formats.replacing import claimed_output
     from ...query.opening import scene_files
 
     path, tiles = scene_files(options.field).field, tiles_of(options.scene, options.workers, options.parts)

@@ -62,11 +62,6 @@ def _command(line: str, width: int) -> list[str]:
     return [*(f"{part} \\" for part in parts[:-1]), parts[-1]]
 
 
-def first_examples(epilog: str) -> str:
-    """Return the first few commands of an epilog of examples."""
-    return "\n".join(["examples:", *_COMMAND.findall(epilog)[:MAX_SHORT_EXAMPLES]])
-
-
 class UsageError(Exception):
     """A misuse that argparse found; raised instead of printed so that --json and --log apply to it."""
 
@@ -198,7 +193,7 @@ class VerbParser(Parser):
         hidden = [action for action in self.options if action.dest not in self.daily]
         with _each_with(self._needed, required=True):  # also in the middle of parsing
             usage = self.usage or self._short_usage()
-        epilog = first_examples(self.epilog or "")
+        epilog = "\n".join(["examples:", *_COMMAND.findall(self.epilog or "")[:MAX_SHORT_EXAMPLES]])
         with _each_with(hidden, help=argparse.SUPPRESS), _swapped(self, epilog=epilog, usage=usage):
             text = self.format_help()
         more = counted(sum(not isinstance(action, _Help) for action in hidden), "more option")

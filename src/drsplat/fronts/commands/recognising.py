@@ -146,7 +146,7 @@ def _catalogue(path: Path) -> Verified:
 
 def _scene(path: Path) -> Verified:
     from ...formats.moving_scenes import read_scene, verify_motion
-    from ...formats.recognising import MOTION
+    from ...formats.scenes import MOTION
     from ...formats.tensors import read_tensors
     from ...scene.moving import Moving
     from ...training.model_folder import CHECKPOINT
@@ -175,8 +175,7 @@ def _features(path: Path) -> Verified:
 
 
 def _tensors(path: Path) -> Verified:
-    from ...formats.checksums import TENSORS
-    from ...formats.tensors import map_tensors, read_tensors
+    from ...formats.tensors import TENSORS, map_tensors, read_tensors
 
     if TENSORS not in map_tensors(path)[1]:
         return Verified([], "its header was read: it has no checksums")

@@ -155,7 +155,11 @@ def run(options: Options) -> Facts:
     own = found or read_scene(options.scene)
     views = [] if options.views is None else options.photos.views(options.views)
     opened, answer = _answer(options)
-    notes = _notes(options)
+    # The annotations that are kept beside the scene, none without --annotations
+    from ...drawing.labels import notes_of
+    from ...formats.annotations import AnnotationFile
+
+    notes = notes_of(AnnotationFile.beside(options.scene).read()) if options.annotations else []
     scene = _edited(options, own)
     if answer is not None and scene is not own:
         answer = answer.after_edits(canonical_of(scene))
@@ -254,14 +258,6 @@ def _answer(options: Options) -> tuple[OpenedScene | None, Highlight | None]:
     opened = open_with(options, options.field, options.scene)
     query = Query(options.query, **values_of(options.cut, TEXT_CUT))
     return opened, Highlight.of(opened, query, heat=options.heat_map, boxes=options.boxes)
-
-
-def _notes(options: Options) -> list[Mark]:
-    """Return the annotations that are kept beside the scene, none without --annotations."""
-    from ...drawing.labels import notes_of
-    from ...formats.annotations import AnnotationFile
-
-    return notes_of(AnnotationFile.beside(options.scene).read()) if options.annotations else []
 
 
 def _film(

@@ -101,7 +101,7 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...formats.claiming import claimed_folder
+    from ...formats.replacing import claimed_folder
     from ..scanning.inputs import scan_input
 
     source = scan_input(Path(options.input))
@@ -149,8 +149,8 @@ def _refuse_strangers(output: Path, source: ScanInput) -> None:
 
     Raises: InputError: the output holds files that no scan made, or is the capture itself; a path that is not UTF-8.
     """
-    from ...formats.claiming import LOCK
     from ...formats.json_files import is_text
+    from ...formats.replacing import LOCK
     from ...formats.scan_record import RECORD
 
     for path in (source.path, output):

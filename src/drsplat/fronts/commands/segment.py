@@ -48,7 +48,7 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ... import write_gaussians
-    from ...drawing.legend import colored
+    from ...drawing.pictures import colored
     from ...formats.replacing import together
     from ...query.documents import segmentation_document
 
@@ -91,8 +91,7 @@ def show(answer: Facts) -> None:
 def _draw(outputs: Outputs, path: str, scene: Scene, found: Segmentation, threads: int) -> str:
     import numpy as np
 
-    from ...drawing.legend import class_picture
-    from ...drawing.pictures import photo_or_rendering, write_picture
+    from ...drawing.pictures import class_picture, photo_or_rendering, write_picture
 
     view = outputs.chosen_view(scene, np.flatnonzero(found.labels >= 0))
     photo = photo_or_rendering(scene.gaussians, view, threads=threads)

@@ -11,7 +11,7 @@ from typing import Any
 from ...base.arrays import OtherPixels
 from ...errors import DrSplatError, InputError
 from ...formats.captures import read_views
-from ...formats.recognising import Kind, recognised
+from ...formats.scenes import Kind, recognised
 from ...photos.capture.capturing import sources_key
 from ...photos.capture.finding import VIDEO_ENDS, find_photos
 from ...photos.capture.videos import some_frames, video_source

@@ -65,16 +65,6 @@ scenes</a> lists what can be asked.</p>
 """
 
 
-def front_page(description: Mapping[str, Any]) -> str:
-    """Return HTML made of an OpenAPI description."""
-    return _PAGE.format(
-        version=escape(description["info"]["version"]),
-        about=escape(description["info"]["description"]),
-        routes="".join(_rows(description)),
-        examples="".join(_examples(description)),
-    )
-
-
 def _rows(description: Mapping[str, Any]) -> Iterator[str]:
     for path, methods in description["paths"].items():
         for method, route in methods.items():
@@ -407,7 +397,16 @@ def _add_pages(app: FastAPI) -> None:
     @app.get("/docs", include_in_schema=False)
     async def page() -> HTMLResponse:
         safe = {"content-security-policy": "default-src 'none'; style-src 'unsafe-inline'"}
-        return HTMLResponse(front_page(app.openapi()), headers=safe)
+        description = app.openapi()
+        return HTMLResponse(
+            _PAGE.format(
+                version=escape(description["info"]["version"]),
+                about=escape(description["info"]["description"]),
+                routes="".join(_rows(description)),
+                examples="".join(_examples(description)),
+            ),
+            headers=safe,
+        )
 
 
 def serve(settings: Settings, listening: socket.socket, quiet: bool = False) -> None:

@@ -122,7 +122,14 @@ class Connection(H11Protocol):
         if 0 < self.transport.get_write_buffer_size() < self._unsent:
             self._start_timer()
         elif self.stage is Stage.HEAD and not self.transport.is_closing():
-            self.transport.write(_too_slow(self.seconds[Stage.HEAD]))
+            seconds = self.seconds[Stage.HEAD]
+            reason = {"error": f"no request within {seconds:g} s: send it at once", "kind": "timeout"}
+            body = json.dumps(reason).encode()
+            head = (
+                "HTTP/1.1 408 Request Timeout\r\nconnection: close\r\ncontent-type: application/json\r\n"
+                f"content-length: {len(body)}\r\n\r\n"
+            )
+            self.transport.write(head.encode() + body)
             self.transport.close()
         else:
             self.transport.abort()
@@ -155,13 +162,3 @@ def run_server(server: uvicorn.Server, listening: socket.socket) -> None:
         server.run(sockets=[listening])
     if not server.started:
         raise SystemExit(3)  # the log says why
-
-
-def _too_slow(seconds: float) -> bytes:
-    reason = {"error": f"no request within {seconds:g} s: send it at once", "kind": "timeout"}
-    body = json.dumps(reason).encode()
-    head = (
-        "HTTP/1.1 408 Request Timeout\r\nconnection: close\r\ncontent-type: application/json\r\n"
-        f"content-length: {len(body)}\r\n\r\n"
-    )
-    return head.encode() + body

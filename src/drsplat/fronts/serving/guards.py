@@ -74,7 +74,11 @@ class Guard(DoorKeeper):
             return await self.app(scope, receive, send)
         answer = Answer(send)
         if scope["method"] == "HEAD":
-            scope, answer = {**scope, "method": "GET"}, Answer(_without_body(send))
+
+            async def head(message: Message) -> None:
+                await send({**message, "body": b""} if "body" in message else message)
+
+            scope, answer = {**scope, "method": "GET"}, Answer(head)
         start = time.perf_counter()
         try:
             if not await self.turned_away(scope, answer):
@@ -151,15 +155,6 @@ def _bearer(header: bytes) -> bytes:
     """Return the token of an `Authorization` header with the scheme Bearer, in letters of either case."""
     scheme, _, token = header.partition(b" ")
     return token.strip() if scheme.lower() == b"bearer" else b""
-
-
-def _without_body(send: Send) -> Send:
-    """Return a `send` that answers HEAD: the head of GET's response, without its body."""
-
-    async def head(message: Message) -> None:
-        await send({**message, "body": b""} if "body" in message else message)
-
-    return head
 
 
 @runtime_checkable

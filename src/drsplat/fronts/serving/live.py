@@ -117,19 +117,16 @@ class Adder:
 
     def add(self, files: SceneFiles, asked: Mapping[str, Any]) -> Reply:
         """Add the views that wait, those of `names` or all. Raises: DrSplatError: they go on waiting."""
-        target = GrowingScene(files.field, capture_of(files), self._scene(files), self._threads)
-        outcome = add_waiting(target, self._shelf.models, asked["names"])
-        seconds = [view.ended - view.arrived for view in outcome.added]
-        document = {"seconds": seconds, "num_refused": len(outcome.refused)}
-        return Reply(json.dumps(document).encode())
-
-    def _scene(self, files: SceneFiles) -> Gaussians | Moving:
         stats = [(path, path.stat()) for path in files.scenes]
         stamp = tuple((str(path), now.st_ino, now.st_size, now.st_mtime_ns) for path, now in stats)
         if self._last is None or self._last[0] != stamp:
             self._last = None  # before another takes its room
             self._last = stamp, registered_scene(files)[1]
-        return self._last[1]
+        target = GrowingScene(files.field, capture_of(files), self._last[1], self._threads)
+        outcome = add_waiting(target, self._shelf.models, asked["names"])
+        seconds = [view.ended - view.arrived for view in outcome.added]
+        document = {"seconds": seconds, "num_refused": len(outcome.refused)}
+        return Reply(json.dumps(document).encode())
 
 
 def capture_of(files: SceneFiles) -> Path:

@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ...errors import DrSplatError, MissingExtraError
-from ...formats.claiming import ClaimedError
 from ...formats.live_views import FullError, TakenNameError
-from ...formats.replacing import NoRoom
+from ...formats.replacing import ClaimedError, NoRoom
 from .scene_folder import SceneFaultError, UnknownSceneError
 
 BUG = "this is a fault of the service, not of the request; its log has the details"

@@ -13,7 +13,7 @@ from ...errors import DrSplatError, InputError
 from ...field.labels import LabelFile
 from ...formats.field_folder import read_manifest
 from ...formats.json_files import written_name
-from ...formats.recognising import FIELD_SUFFIX
+from ...formats.scenes import FIELD_SUFFIX
 from ...formats.vocabulary import read_vocabulary
 from ...photos.models.loading import load_encoder
 from ...query import Scene, SceneFiles, find_scene, open_scene

@@ -143,7 +143,11 @@ class _Server(MCPServer):  # type: ignore[type-arg]
                 raise ToolError(f"{name}: no argument {surplus}; there are: {', '.join(known)}")
             arguments = without_nulls(arguments, known.keys() - tool.input_schema.get("required", ()))
         try:
-            return _terse(await super().call_tool(name, arguments, context))
+            result = await super().call_tool(name, arguments, context)
+            if isinstance(result, CallToolResult) and result.structured_content is not None:
+                text = json.dumps(result.structured_content, separators=(",", ":"))
+                result.content[0] = TextContent(type="text", text=text)
+            return result
         except ToolError as error:
             cause = error.__cause__
             if isinstance(cause, ValidationError):
@@ -151,13 +155,6 @@ class _Server(MCPServer):  # type: ignore[type-arg]
             if isinstance(cause, ToolError):
                 raise cause from error
             raise
-
-
-def _terse(result: Any) -> Any:
-    if isinstance(result, CallToolResult) and result.structured_content is not None:
-        text = json.dumps(result.structured_content, separators=(",", ":"))
-        result.content[0] = TextContent(type="text", text=text)
-    return result
 
 
 @dataclass(frozen=True, eq=False)

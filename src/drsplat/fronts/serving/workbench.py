@@ -311,7 +311,14 @@ class Adding:
                 scene = self._due.pop(0)
             self._problems.pop(scene, None)
             try:
-                self._add_all(scene)
+                files = self._scene_folder.files(scene)
+                while names := self._waiting(scene, files):
+                    try:
+                        self._add(scene, names)
+                    except LostError:
+                        self._add_alone(scene, names)
+                    if self._waiting(scene, files)[:1] == names[:1]:
+                        raise DrSplatError("views of this scene are not added: the log of the service says why")
             except Exception as error:
                 if not self._closed:
                     self._problems[scene] = self._reason(scene, error)
@@ -322,17 +329,6 @@ class Adding:
             return without_paths(str(error), self._scene_folder.roots)
         _log.error("views of %r were not added", scene, exc_info=error)
         return BUG
-
-    def _add_all(self, scene: str) -> None:
-        """Add the views that wait, until none does. Raises: DrSplatError: they go on waiting."""
-        files = self._scene_folder.files(scene)
-        while names := self._waiting(scene, files):
-            try:
-                self._add(scene, names)
-            except LostError:
-                self._add_alone(scene, names)
-            if self._waiting(scene, files)[:1] == names[:1]:
-                raise DrSplatError("views of this scene are not added: the log of the service says why")
 
     def _waiting(self, scene: str, files: SceneFiles) -> list[str]:
         names = [view.name for view in LiveViews(capture_of(files)).every("waiting")]

@@ -14,8 +14,8 @@ from ...formats.annotations import AnnotationFile, without
 from ...formats.scenes import read_gaussians
 from ...kernels import SplatArrays, splat_arrays
 from ...query import Scene
-from ...scene.annotations import Annotation
 from ...scene.gaussians import Gaussians
+from ...scene.labelled import Annotation
 from .shown import Shown, base_colors, moved_shown, shown_of
 
 

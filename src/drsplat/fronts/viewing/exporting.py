@@ -21,8 +21,8 @@ from ...query import Match, Scene
 from ...query.documents import Document
 from ...query.sheets import object_picture, object_views
 from ...query.suggesting import suggestions
-from ...scene.annotations import Annotation
 from ...scene.boxes import solid
+from ...scene.labelled import Annotation
 from .bare import NO_FIELD
 from .client import printable
 from .page import MAX_GAUSSIANS, Page, PageAnswer, PageTimes, boxes_of, times_of_page, write_page

@@ -326,9 +326,10 @@ def _header(page: Page) -> Document:
     # what the client offers: a page only answers what it was made with
     never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
     offered = {"ask": _answers(page), "objects": bool(page.objects), "film_formats": []}
+    moves = "" if page.times is None else page.times.summary
     return {
         "title": printable(page.title),
-        "about": _about(page),
+        "about": " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.summary}".split()),
         "eye": rounded(frame.shown(page.eye)),
         "target": rounded(frame.shown(page.target)),
         "up": page.up.tolist(),
@@ -355,11 +356,6 @@ def _header(page: Page) -> Document:
 
 def _answers(page: Page) -> bool:
     return bool(page.answers) or page.search is not None
-
-
-def _about(page: Page) -> str:
-    moves = "" if page.times is None else page.times.summary
-    return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.summary}".split())
 
 
 def film_document(frame: Frame, path: CameraPath, target: Vector3) -> Document:

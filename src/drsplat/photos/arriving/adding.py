@@ -12,10 +12,9 @@ from pathlib import Path
 from ...errors import DrSplatError, InputError, MissingExtraError
 from ...field import LanguageField, load_field
 from ...field.growing import Change
-from ...formats.claiming import ClaimedError
 from ...formats.langsplat import FeatureFolder, level_index
 from ...formats.live_views import LiveView, LiveViews
-from ...formats.replacing import NoRoom
+from ...formats.replacing import ClaimedError, NoRoom
 from ...scene.gaussians import Gaussians
 from ...scene.masks.features import ViewFeatures
 from ...scene.moving import Moving

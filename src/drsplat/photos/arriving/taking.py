@@ -14,12 +14,11 @@ from PIL import Image
 from ...errors import DrSplatError, FormatError, InputError
 from ...field import LanguageField
 from ...field.growing.changing import check_growth
-from ...formats.claiming import claimed_output
 from ...formats.compact_features import read_compact
 from ...formats.embedding_record import COMPACT
 from ...formats.langsplat import FeatureFolder, level_index
 from ...formats.live_views import FullError, LiveView, LiveViews, TakenNameError, live_name, posed, stem_of
-from ...formats.replacing import saying_what_is_full
+from ...formats.replacing import claimed_output, saying_what_is_full
 from ...scene.photos import check_cost
 from ...scene.views import View, same_aspect
 from .models import FEATURES, ModelNames, check_names

@@ -13,14 +13,13 @@ from typing import Any
 
 from ...errors import InputError
 from ...formats.captures import read_sparse_points, read_views
-from ...formats.claiming import claimed_folder
 from ...formats.colmap import read_colmap
 from ...formats.georeference import write_georeference
 from ...formats.json_files import read_json
 from ...formats.mask_files import FOLDER as MASKS
 from ...formats.mask_files import SUFFIX as MASK_SUFFIX
 from ...formats.photo_files import listed
-from ...formats.replacing import replacing
+from ...formats.replacing import claimed_folder, replacing
 from ..models.people import without_people
 from .finding import Source, find_photos
 from .measuring import units_between

@@ -26,12 +26,12 @@ from scipy import ndimage
 from ...base.arrays import GreyPixels
 from ...base.contents import open_file
 from ...errors import FormatError, MismatchError, MissingExtraError, pip_install
-from ...formats.checksums import hash_file
 from ...formats.mask_files import FOLDER as MASKS
 from ...formats.mask_files import SUFFIX as MASK_SUFFIX
 from ...formats.mask_files import is_inverted
-from ...formats.recognising import STILL_BRANDS
 from ...formats.replacing import replacing
+from ...formats.scenes import STILL_BRANDS
+from ...formats.tensors import hash_file
 from ...scene.photo_masks import MIN_WHITE, read_mask
 from ...scene.photos import PHOTO_FORMATS, check_cost, is_wide, orientation_of, rgb_of
 from ...scene.views import same_aspect

@@ -19,11 +19,11 @@ import numpy as np
 from ...base.arrays import Embeddings, LevelMaskIds, Pixels
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, encoder_from_json, untracked
-from ...formats.checksums import hash_file
-from ...formats.claiming import claimed_folder
 from ...formats.embedding_record import FILE_NAME, EmbeddingRecord, Form, open_record, read_settings
 from ...formats.langsplat import FeatureFolder, stored_features, write_features
 from ...formats.photo_files import listed
+from ...formats.replacing import claimed_folder
+from ...formats.tensors import hash_file
 from ...formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from ...scene.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from ...scene.masks.masks import LEVELS, Masks, Segmenter, kept_masks

@@ -9,9 +9,9 @@ from scipy.ndimage import find_objects
 
 from ...base.arrays import Embeddings, Float32, Int32, LevelMaskIds, OtherPixels, Pixels, WholeNumbers
 from ...errors import MismatchError
-from ...formats.checksums import hash_file
 from ...formats.embedding_record import read_settings
 from ...formats.langsplat import FeatureFolder
+from ...formats.tensors import hash_file
 from ...scene.encoders import EncoderIdentity, ImageEncoder
 from ...scene.masks.crops import crops
 from ...scene.masks.masks import LEVELS, Masks

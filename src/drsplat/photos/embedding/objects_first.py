@@ -22,9 +22,9 @@ from ...field.evidence.evidence import Evidence
 from ...field.objects.describing import node_weights
 from ...field.objects.finding import find_tree
 from ...field.registration import register
-from ...formats.claiming import claimed_folder
 from ...formats.embedding_record import Form, finished_photos, open_record
 from ...formats.langsplat import FeatureFolder, read_features
+from ...formats.replacing import claimed_folder
 from ...scene.encoders import ImageEncoder, identity_json
 from ...scene.gaussians import Gaussians
 from ...scene.masks.masks import Segmenter

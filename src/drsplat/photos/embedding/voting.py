@@ -17,8 +17,7 @@ from ...field.forest import Objects
 from ...field.objects.describing import describe
 from ...field.objects.finding import cameras_of, find_tree
 from ...field.objects.voting import Vote, with_voted
-from ...formats.checksums import hash_file
-from ...formats.tensors import read_tensors, write_tensors
+from ...formats.tensors import hash_file, read_tensors, write_tensors
 from ...scene.gaussians import Gaussians
 from ...scene.masks.features import ViewFeatures
 from ...scene.masks.region_tree import RegionTree

@@ -9,12 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Embeddings
 from ...errors import InputError, warn
 from ...field.codes import Track, untracked
-from ...formats.claiming import claimed_output
 from ...formats.georeference import read_georeference
-from ...formats.replacing import refuse_missing_parent
+from ...formats.replacing import claimed_output, refuse_missing_parent
 from ...photos.models.loading import load_encoder
 from ...scene.encoders import Encoder, EncoderIdentity
 from .. import Query, Scene, encoder_for, open_scene
@@ -26,8 +24,7 @@ from .codes import CodeReader, Search, has_codebook, nearest_objects
 from .entries import CatalogueAnswer, Conditions, Entry, SceneEntry, checked_name, of_scene
 from .reading import SceneRules, entries_of, listed_of, thumbnail_of
 from .rows import SceneRows, rows_of
-from .schema import batch
-from .snapshot import OF_OBJECTS, Snapshot, current
+from .snapshot import OF_OBJECTS, Snapshot, batch, current
 from .table import verify_codes
 
 LARGE_ROWS = 100_000  # from here on an index is worth its time
@@ -274,7 +271,10 @@ class Catalogue:
         """
         with self._lock:
             if self._usual is None or not self._usual.serves(snapshot):
-                surroundings = Surroundings(snapshot, lambda: self._embedder(snapshot), _sample(snapshot))
+                # The first descriptors of objects spread over the table
+                described = snapshot.spread(USUAL_SAMPLE)
+                firsts = described.starts[:-1][np.diff(described.starts) > 0]
+                surroundings = Surroundings(snapshot, lambda: self._embedder(snapshot), described.descriptors[firsts])
                 self._usual = _Calibration(snapshot.version, snapshot.num_rows, surroundings)
             return self._usual.surroundings
 
@@ -309,13 +309,6 @@ class _Calibration(NamedTuple):
         changes = abs(snapshot.version - self.version)
         allowed = 0 if snapshot.num_rows <= LARGE_ROWS else MAX_CHANGES
         return changes <= allowed and abs(snapshot.num_rows - self.num_rows) * MIN_ROWS_PER_CHANGED_ROW <= self.num_rows
-
-
-def _sample(snapshot: Snapshot) -> Embeddings:
-    """Return the first descriptors of objects spread over the table."""
-    described = snapshot.spread(USUAL_SAMPLE)
-    firsts = described.starts[:-1][np.diff(described.starts) > 0]
-    return described.descriptors[firsts]
 
 
 def _check_folder(snapshot: Snapshot, name: str, folder: str) -> None:

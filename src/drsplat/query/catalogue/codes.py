@@ -21,12 +21,10 @@ import numpy as np
 from ...base.arrays import Embedding, Flags, Indices, OtherIndices
 from ...errors import FormatError, InputError
 from ...field.codes import Codebook, Codes, PQCode, load_codebook, pq_code
-from ...formats.checksums import check_checksums
-from ...formats.tensors import check_tensors, map_tensors
+from ...formats.tensors import check_checksums, check_tensors, map_tensors
 from ..ranking import Described
 from .record import Fragment
-from .schema import cosines_of, described_of, libraries
-from .snapshot import ROW_ID, Snapshot
+from .snapshot import ROW_ID, Snapshot, cosines_of, described_of, libraries
 
 FOLDER, CODEBOOK, FORMAT, SUFFIX = "codes", "codebook.safetensors", "drsplat catalogue codes 1", ".safetensors"
 ROWS_OF_PART = 65_536  # rows of files that are scanned as one

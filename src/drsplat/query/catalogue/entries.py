@@ -34,11 +34,6 @@ def checked_name(name: str) -> str:
     return name
 
 
-def scenes_sql(names: Sequence[str]) -> str:
-    """Return the condition that a row is of one of these scenes."""
-    return f"scene IN ({', '.join(quoted(name) for name in names)})"
-
-
 def of_scene(name: str) -> str:
     """Return the condition that a row is of this scene."""
     return f"scene = {quoted(checked_name(name))}"
@@ -68,7 +63,13 @@ class Conditions:
         if self.box is not None and not _rises(self.box[:3], self.box[3:]):
             raise InputError(f"box: expected two corners, the lowest first, six finite numbers, got {self.box}")
         if self.area is not None:
-            _check_area(self.area)
+            west, south, east, north = self.area
+            if not (
+                _rises((south, -180.0, -180.0), (north, west, east))
+                and max(west, east) <= 180
+                and -90 <= south <= north <= 90
+            ):
+                raise InputError(f"area: expected west, south, east and north in degrees, got {self.area}")
         if self.since is not None:
             _in_utc(self.since)
 
@@ -77,7 +78,7 @@ class Conditions:
         """Conditions as SQL; "" for all objects."""
         parts = []
         if self.scenes:
-            parts.append(scenes_sql(self.scenes))
+            parts.append(f"scene IN ({', '.join(quoted(name) for name in self.scenes)})")
         if self.box is not None:
             parts += _between("xyz", self.box[:3], self.box[3:])
         if self.area is not None:
@@ -109,14 +110,6 @@ def _between(names: Sequence[str], low: Sequence[float], high: Sequence[float]) 
 
 def _rises(low: Sequence[float], high: Sequence[float]) -> bool:
     return bool(np.isfinite([*low, *high]).all()) and all(a <= b for a, b in zip(low, high, strict=True))
-
-
-def _check_area(area: Degrees) -> None:
-    west, south, east, north = area
-    if not (
-        _rises((south, -180.0, -180.0), (north, west, east)) and max(west, east) <= 180 and -90 <= south <= north <= 90
-    ):
-        raise InputError(f"area: expected west, south, east and north in degrees, got {area}")
 
 
 JPEG = b"\xff\xd8\xff"

@@ -19,8 +19,7 @@ from ..opening import scene_files
 from ..ranking import Ranked
 from ..sketch import Sketch, SketchedScene
 from .entries import Entry, Position, SceneEntry, checked_jpeg, of_scene
-from .schema import CURE, libraries
-from .snapshot import ROW_ID, Snapshot
+from .snapshot import CURE, ROW_ID, Snapshot, libraries
 
 TEXTS = ("scene", "field", "added", "label", "name", "photo", "mask", "thumbnail")
 NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")
@@ -123,20 +122,16 @@ def thumbnail_of(snapshot: Snapshot, scene: str, object_id: int, tile: int) -> b
 def listed_of(snapshot: Snapshot) -> list[SceneEntry]:
     """Return all scenes, by name. Raises: FormatError: damaged."""
     objects = snapshot.rows("object_id >= 0", ["scene", "sure", "num_views", "label"])
-    counts, listed_counts = _counts(objects["scene"]), _counts(objects["scene"].filter(_is_listed(objects)))
+    _, pa = libraries()
+    sure, num_views = (np.asarray(objects[name].fill_null(0)) for name in ("sure", "num_views"))
+    has_name = np.asarray(objects["label"].fill_null("")) != ""
+    is_listed = pa.array(agreed(sure.astype(np.float32), num_views.astype(np.int64)) | has_name)
+    counts, listed_counts = _counts(objects["scene"]), _counts(objects["scene"].filter(is_listed))
     rows = snapshot.rows("object_id = -1", ["scene", "added", "field", "folder"]).to_pylist()
     if any(row[key] is None for row in rows for key in ("scene", "added", "field")):
         raise FormatError(f"{snapshot.path}: {CURE}")
     listed = [_listed(row, counts.get(row["scene"], 0), listed_counts.get(row["scene"], 0)) for row in rows]
     return sorted(listed, key=lambda entry: entry.scene)
-
-
-def _is_listed(objects: Any) -> Any:
-    """Return the mask, of Arrow, of the objects that photos agree on or people named."""
-    _, pa = libraries()
-    sure, num_views = (np.asarray(objects[name].fill_null(0)) for name in ("sure", "num_views"))
-    has_name = np.asarray(objects["label"].fill_null("")) != ""
-    return pa.array(agreed(sure.astype(np.float32), num_views.astype(np.int64)) | has_name)
 
 
 def _counts(scenes: Any) -> dict[str, int]:

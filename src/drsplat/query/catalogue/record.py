@@ -20,8 +20,8 @@ from typing import NamedTuple
 from uuid import UUID
 
 from ...errors import FormatError
-from ...formats.checksums import check_document, check_seal, file_checksum, sealed
 from ...formats.json_files import as_document, as_fields, read_json, write_json
+from ...formats.tensors import check_document, check_seal, file_checksum, sealed
 
 NEWEST_FIRST = (1 << 64) - 1  # LanceDB names the manifest of version v NEWEST_FIRST - v, formerly v
 MAGIC, FOOTER_BYTES, LENGTH_BYTES = b"LANC", 16, 4

@@ -1,19 +1,213 @@
-"""One version of a catalogue's table, to be read."""
+"""One version of a catalogue's table, to be read.
 
-from collections.abc import Sequence
+Columns of a catalogue's table, rows of them, and descriptors in a byte for each number.
+
+LanceDB and Arrow, imported where a catalogue needs them, and their errors in our words.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Embedding, Indices, OtherIndices
-from ...errors import FormatError, MismatchError
-from ...scene.encoders import EncoderIdentity, identity_text
+from ...base.arrays import Embedding, Embeddings, Indices, Int8, Numbers, OtherIndices
+from ...errors import DrSplatError, FormatError, InputError, MismatchError, MissingExtraError, pip_install
+from ...formats.json_files import as_fields, document_in
+from ...scene.encoders import EncoderIdentity, identity_json, identity_text
 from ..ranking import Described
 from .record import Fragment, fragments_of, manifest_of, read_record
-from .schema import COMPARED, CURE, HEAD, cosines_of, described_of, encoder_of, libraries, reading, session
+
+PANICS = ("PanicException", "RustPanic")  # of Rust, on unexpected contents
+INDEX_CACHE_BYTES, METADATA_CACHE_BYTES = 512 << 20, 256 << 20
+CURE = "the table is damaged: restore it from a copy, or remove the folder and add its scenes again"
+
+
+def libraries() -> tuple[Any, Any]:
+    """Import LanceDB and Arrow. Raises: MissingExtraError: they are not installed."""
+    try:
+        import lancedb
+        import pyarrow
+    except ImportError as error:
+        raise MissingExtraError(f"a catalogue needs LanceDB ({error}): {pip_install('catalogue')}") from error
+    return lancedb, pyarrow
+
+
+@cache
+def session() -> Any:
+    """Return the cache that all queries of this process share; without it each would read the index anew."""
+    lancedb, _ = libraries()
+    return lancedb.Session(INDEX_CACHE_BYTES, METADATA_CACHE_BYTES)
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn errors of LanceDB into FormatErrors."""
+    with _lance_errors(path):
+        yield
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn errors of LanceDB into InputErrors: it could not write, and nothing has changed."""
+    try:
+        with _lance_errors(path):
+            yield
+    except FormatError as error:
+        raise InputError(f"{path}: nothing was changed: {error.__cause__!s:.300}") from error
+
+
+@contextmanager
+def _lance_errors(path: Path) -> Iterator[None]:
+    """Turn errors of LanceDB, Arrow and Rust into FormatErrors."""
+    try:
+        yield
+    except DrSplatError:
+        raise
+    except (ValueError, RuntimeError, OSError) as error:  # Arrow's are among these
+        raise FormatError(f"{path}: {CURE} ({type(error).__name__}: {error!s:.300})") from error
+    except BaseException as error:
+        if type(error).__name__ not in PANICS:
+            raise
+        raise FormatError(f"{path}: {CURE} ({error!s:.300})") from error
+
+
+KEY = b"drsplat catalogue"  # of the table's metadata
+VERSION = 4
+MAX_DIM = 1 << 16
+LARGEST = 127  # of a descriptor's numbers, as it is stored
+AT_ONCE = 128  # descriptors that are compared while they are in a processor's cache
+HEAD = ("scene", "tile", "object_id")  # key of a row
+COMPARED = ("scene", "object_id", "descriptors")  # columns that a search reads of every object that it compares
+
+
+def schema_of(encoder: EncoderIdentity) -> Any:
+    """Return the columns of a catalogue of one encoder."""
+    _, pa = libraries()
+    vectors = pa.list_(pa.list_(pa.int8(), encoder.dim))
+    # Compressed, a sketch would be a twentieth smaller, and read twice as slowly.
+    sketch = pa.field("sketch", pa.binary(), metadata={"lance-encoding:compression": "none"})
+    texts = dict.fromkeys(("label", "name", "photo", "folder"), pa.string())
+    places = dict.fromkeys(("x", "y", "z", "longitude", "latitude", "height"), pa.float64())
+    columns = {
+        "scene": pa.string(), "tile": pa.int32(), "object_id": pa.int32(), "field": pa.string(),
+        "added": pa.timestamp("ms", tz="UTC"), **places, "axes": pa.list_(pa.float32(), 9),
+        "extent": pa.list_(pa.float32(), 3), "num_gaussians": pa.int32(), "num_views": pa.int32(),
+        "sure": pa.float32(), "mask": pa.int32(), **texts, "descriptors": vectors, "thumbnail": pa.binary(),
+    }  # fmt: skip
+    about = {"version": VERSION, "encoder": identity_json(encoder)}
+    return pa.schema([*columns.items(), sketch], metadata={KEY: json.dumps(about)})
+
+
+def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray], encoder: EncoderIdentity) -> Any:
+    """Return rows as an Arrow table; missing columns are null. descriptors: of each row (k, D), of any length.
+
+    Raises: InputError: a descriptor without a direction.
+    """
+    _, pa = libraries()
+    schema = schema_of(encoder)
+    flat = _stored(np.concatenate([np.empty((0, encoder.dim), np.float32), *descriptors], dtype=np.float32))
+    starts = np.append(0, np.cumsum([len(rows) for rows in descriptors]))
+    vectors = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), encoder.dim)
+    arrays = {"descriptors": pa.ListArray.from_arrays(pa.array(starts, pa.int32()), vectors)}
+    nothing = [None] * len(descriptors)
+    for column in schema:
+        if column.name not in arrays:
+            arrays[column.name] = pa.array(columns.get(column.name, nothing), column.type)
+    return pa.table([arrays[name] for name in schema.names], schema=schema)
+
+
+def _stored(vectors: Embeddings) -> Int8[np.ndarray, "n D"]:
+    """Return directions in a byte for each number, the largest of a vector 127: their lengths need no room.
+
+    Raises: InputError: numbers that are not finite, or a vector without a direction.
+    """
+    largest = np.abs(vectors).max(1, initial=0, keepdims=True)
+    if not (np.isfinite(largest) & (largest > 0)).all():
+        raise InputError("descriptors: expected finite vectors, none of them zero")
+    return np.asarray(np.rint(vectors * (LARGEST / largest)), np.int8)
+
+
+def described_of(column: Any, path: Path) -> Described:
+    """Return the descriptors of each row, brought back to unit length. Raises: FormatError: some have no direction."""
+    numbers, starts = _numbers_of(column, path)
+    vectors = numbers.astype(np.float32)
+    return Described(vectors / _lengths(vectors, path)[:, None], starts)
+
+
+def cosines_of(column: Any, vector: Embedding, path: Path) -> Numbers:
+    """Return the highest cosine of a unit vector with a descriptor of each row, -inf for rows without any.
+
+    Raises: FormatError: some have no direction.
+    """
+    numbers, starts = _numbers_of(column, path)
+    cosines = np.empty(len(numbers), np.float32)
+    for begin in range(0, len(numbers), AT_ONCE):
+        run = slice(begin, begin + AT_ONCE)
+        vectors = numbers[run].astype(np.float32)
+        cosines[run] = np.einsum("pd,d->p", vectors, vector) / _lengths(vectors, path)
+    best = np.full(len(starts) - 1, -np.inf, np.float32)
+    (shown,) = np.nonzero(np.diff(starts))
+    if len(shown):
+        best[shown] = np.maximum.reduceat(cosines, starts[shown])
+    return best
+
+
+def _numbers_of(column: Any, path: Path) -> tuple[Int8[np.ndarray, "P D"], Indices]:
+    """Return the descriptors as they are stored; row i has those from starts[i] to starts[i + 1]."""
+    _, pa = libraries()
+    lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    lengths = np.asarray(lists.value_lengths().fill_null(0), np.int64)
+    vectors = lists.flatten()
+    numbers = np.asarray(vectors.flatten(), np.int8).reshape(-1, vectors.type.list_size)
+    if len(numbers) != lengths.sum():
+        raise _without_direction(path)
+    return numbers, np.append(0, np.cumsum(lengths))
+
+
+def _lengths(vectors: Embeddings, path: Path) -> Numbers:
+    lengths = np.sqrt(np.einsum("pd,pd->p", vectors, vectors))
+    if not (lengths > 0).all():
+        raise _without_direction(path)
+    return np.asarray(lengths)
+
+
+def _without_direction(path: Path) -> FormatError:
+    return FormatError(f"{path}: descriptors without a direction: {CURE}")
+
+
+def encoder_of(path: Path, schema: Any) -> EncoderIdentity:
+    """Return the encoder of the descriptors. Raises: FormatError: other columns than a catalogue has."""
+    encoder = _identity(path, (schema.metadata or {}).get(KEY))
+    expected = schema_of(encoder)
+    if not schema.equals(expected):
+        types = {column.name: column.type for column in schema}
+        wrong = [column.name for column in expected if types.get(column.name) != column.type]
+        raise FormatError(f"{path}: other columns than a catalogue's: {', '.join(wrong) or 'more of them'}")
+    return encoder
+
+
+def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
+    try:
+        document = as_fields(document_in(about or b"", str(path)), str(path), version=object, encoder=EncoderIdentity)
+        encoder, version = document["encoder"], document["version"]
+        if not 1 <= encoder.dim <= MAX_DIM:
+            raise FormatError(f"encoder of {encoder.dim} dimensions")
+    except FormatError as error:
+        raise FormatError(f"{path}: a LanceDB table, but not of a catalogue that drsplat made") from error
+    if version != VERSION:
+        cure = (
+            "remove the folder and add its scenes again"
+            if version in range(1, VERSION)
+            else "install the drsplat that made it"
+        )
+        raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}: {cure}")
+    return encoder  # type: ignore[no-any-return]
+
 
 NAME = "objects"
 OF_OBJECTS = "object_id >= 0"

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...errors import FormatError, InputError, warn
 from ...field.codes import PQ, Codebook, Codes, load_codebook, pq_code, save_codebook, train_codebook
-from ...formats.claiming import claimed_output
+from ...formats.replacing import claimed_output
 from ...formats.tensors import read_tensors, write_tensors
 from ...scene.encoders import EncoderIdentity
 from .codes import (
@@ -39,8 +39,7 @@ from .codes import (
 )
 from .entries import of_scene
 from .record import RECORD, Fragment, read_record, verify_record, write_record
-from .schema import HEAD, libraries, reading, schema_of, writing
-from .snapshot import NAME, Snapshot, current, folder_of, latest
+from .snapshot import HEAD, NAME, Snapshot, current, folder_of, latest, libraries, reading, schema_of, writing
 
 TRAINING_ROWS = 8192  # objects whose descriptors a codebook is trained on
 ROWS_AT_ONCE = 8192  # of which descriptors are in memory while they are encoded

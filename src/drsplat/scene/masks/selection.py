@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Flags, Float64, Indices, Int32, Int64, MaskIds, OtherIndices
+from ...base.arrays import Float64, Indices, Int32, Int64, MaskIds, OtherIndices
 from ...errors import InputError
 from .masks import LEVELS, Masks
 
@@ -40,24 +40,16 @@ def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: 
     shared = overlaps(masks)
     areas = np.diag(shared)
     gone = (areas == 0) | ~(masks.scores > min_score)
-    gone |= _repeats_better(shared, areas, masks, max_iou)
-    gone |= _inside_larger(shared, areas, inner)
-    return np.flatnonzero(~gone).astype(np.int64)
-
-
-def _repeats_better(shared: Int64[np.ndarray, "n n"], areas: Indices, masks: Masks, max_iou: float) -> Flags:
     union = np.maximum(areas[:, None] + areas - shared, 1)
     rank = np.empty(len(masks), np.int64)
     rank[np.argsort(-masks.scores, kind="stable")] = np.arange(len(masks))
     better = rank[:, None] < rank
-    return (better & (shared / union > max_iou)).any(0)
-
-
-def _inside_larger(shared: Int64[np.ndarray, "n n"], areas: Indices, inner: float) -> Flags:
+    gone |= (better & (shared / union > max_iou)).any(0)
     of_outer: Float64[np.ndarray, "n n"] = shared / np.maximum(areas, 1)[:, None]
     of_inner = of_outer.T
     inside = (of_outer < _MAX_INNER_SHARE) & (of_inner >= _MIN_INSIDE_SHARE)
-    return (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
+    gone |= (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
+    return np.flatnonzero(~gone).astype(np.int64)
 
 
 def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
@@ -140,7 +132,13 @@ def mask_maps(levels: Mapping[str, Masks]) -> MaskMaps:
         ids, masks = _painted(levels[level], sum(map(len, shown)))
         maps.append(ids)
         shown.append(masks)
-    joined = _joined(shown)
+    sizes = {(masks.width, masks.height) for masks in shown}
+    if len(sizes) != 1:
+        raise InputError(f"levels: expected masks of one image, got sizes {sorted(sizes)}")
+    joined = Masks(
+        shown[0].height, shown[0].width, np.concatenate([masks.boxes for masks in shown]),
+        tuple(part for masks in shown for part in masks.parts), np.concatenate([masks.scores for masks in shown]),
+    )  # fmt: skip
     return MaskMaps(np.stack(maps), joined)
 
 
@@ -153,13 +151,3 @@ def _painted(masks: Masks, first_id: int) -> tuple[MaskIds, Masks]:
     renumbered = np.full(len(masks) + 1, -1, np.int32)
     renumbered[shown] = first_id + np.arange(len(shown), dtype=np.int32)
     return renumbered[ids], masks.subset(shown)
-
-
-def _joined(levels: list[Masks]) -> Masks:
-    sizes = {(masks.width, masks.height) for masks in levels}
-    if len(sizes) != 1:
-        raise InputError(f"levels: expected masks of one image, got sizes {sorted(sizes)}")
-    return Masks(
-        levels[0].height, levels[0].width, np.concatenate([masks.boxes for masks in levels]),
-        tuple(part for masks in levels for part in masks.parts), np.concatenate([masks.scores for masks in levels]),
-    )  # fmt: skip

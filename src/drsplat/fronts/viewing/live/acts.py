@@ -16,7 +16,7 @@ from ....authoring.editing.replacement import scaled_on_its_foot
 from ....errors import InputError
 from ....kernels.boxes import box_of
 from ....query.schema import Place
-from ....scene.annotations import Annotation
+from ....scene.labelled import Annotation
 from ...serving.query_fields import asking, values_of
 from ..session import Mode, Session
 from .shared import Shared, open_batch, open_entry

@@ -15,7 +15,7 @@ from ....authoring.exporting.placing import After, Placing, groups_of, match_thi
 from ....authoring.filming.looking import up_direction
 from ....authoring.filming.paths import frame_count, path_of, write_path
 from ....authoring.filming.writing import write_film
-from ....base.arrays import Flags, OtherPixels, Pixels
+from ....base.arrays import Flags, Pixels
 from ....drawing.pictures import as_pixels
 from ....drawing.rendering import render
 from ....errors import InputError
@@ -115,24 +115,18 @@ class ObjectPictures:
         if stage is not self._stage:
             self._stage, self._kept = stage, OrderedDict()
         if number not in self._kept:
-            self._draw(stage, number)
+            if number not in stage.listed:
+                raise InputError(f"there is no object {number} of {len(stage.listed)}")
+            begin = stage.listed.index(number) // OBJECTS_AT_ONCE * OBJECTS_AT_ONCE
+            numbers = stage.listed[begin : begin + OBJECTS_AT_ONCE]
+            objects = stage.session.scene.objects
+            for one, pixels in zip(numbers, pictures_of(stage.session, [objects[one] for one in numbers]), strict=True):
+                if pixels is None:
+                    raise InputError("this scene has no photos: open it with its capture to see its objects")
+                self._kept[one] = jpeg(np.ascontiguousarray(pixels))
+                while len(self._kept) > MAX_PICTURES_KEPT:
+                    self._kept.popitem(last=False)
         return self._kept[number]
-
-    def _draw(self, stage: Stage, number: int) -> None:
-        if number not in stage.listed:
-            raise InputError(f"there is no object {number} of {len(stage.listed)}")
-        begin = stage.listed.index(number) // OBJECTS_AT_ONCE * OBJECTS_AT_ONCE
-        numbers = stage.listed[begin : begin + OBJECTS_AT_ONCE]
-        objects = stage.session.scene.objects
-        for one, pixels in zip(numbers, pictures_of(stage.session, [objects[one] for one in numbers]), strict=True):
-            self._keep(one, pixels)
-
-    def _keep(self, number: int, pixels: OtherPixels | None) -> None:
-        if pixels is None:
-            raise InputError("this scene has no photos: open it with its capture to see its objects")
-        self._kept[number] = jpeg(np.ascontiguousarray(pixels))
-        while len(self._kept) > MAX_PICTURES_KEPT:
-            self._kept.popitem(last=False)
 
 
 # --- files ---

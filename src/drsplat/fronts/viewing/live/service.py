@@ -86,7 +86,13 @@ class Gate(DoorKeeper):
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
-        answer = Answer(_safe(send))
+
+        async def safe(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message = {**message, "headers": [*message.get("headers", ()), *SAFE_HEADERS]}
+            await send(message)
+
+        answer = Answer(safe)
         if await self._turned_away(scope, answer) or await self._led_home(scope, answer):
             return None
         most = MAX_BODY_BYTES.get(scope["path"], MAX_ACT_BYTES)
@@ -189,17 +195,6 @@ def _query(scope: Message) -> dict[str, list[str]]:
         return parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=8)
     except ValueError:
         return {}
-
-
-def _safe(send: Send) -> Send:
-    """Return a send that adds what keeps other pages from framing, sniffing or keeping an answer."""
-
-    async def safe(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message.get("headers", ()), *SAFE_HEADERS]}
-        await send(message)
-
-    return safe
 
 
 class _Server(uvicorn.Server):

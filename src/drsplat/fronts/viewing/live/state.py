@@ -14,7 +14,7 @@ from ....query import Match
 from ....query.documents import Document, support_document
 from ....query.nodes import numbered
 from ....query.objects import objects_of
-from ....scene.annotations import Annotation
+from ....scene.labelled import Annotation
 from ....scene.views import View
 from .. import painting
 from ..bare import NO_FIELD

@@ -12,8 +12,8 @@ from starlette.exceptions import HTTPException
 
 from ....errors import InputError
 from ....formats.photo_files import safe_name
-from ....formats.recognising import FIELD_SUFFIX
 from ....formats.replacing import replacing
+from ....formats.scenes import FIELD_SUFFIX
 
 MAX_FOLDER_DEPTH = 8
 _BATCH = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -80,7 +80,13 @@ class Uploads:
         is too large, or the disk too full.
         """
         place = checked_path(name)
-        own = self._batch(batch)
+        if not _BATCH.fullmatch(batch):
+            raise InputError("batch: expected 1 to 64 letters, digits, - and _")
+        if batch not in self.batches:
+            while len(self.batches) >= self.limits.batches:
+                self.drop(next(iter(self.batches)))
+            self.batches[batch] = Batch(Path(tempfile.mkdtemp(dir=self.root)))
+        own = self.batches[batch]
         if own.files >= self.limits.files:
             raise HTTPException(413, f"a batch of at most {self.limits.files:,} files is taken")
         path, begun = own.folder / place, own.size
@@ -100,15 +106,6 @@ class Uploads:
             own.size, own.files = begun, own.files - 1
             raise
         return own.size - begun
-
-    def _batch(self, name: str) -> Batch:
-        if not _BATCH.fullmatch(name):
-            raise InputError("batch: expected 1 to 64 letters, digits, - and _")
-        if name not in self.batches:
-            while len(self.batches) >= self.limits.batches:
-                self.drop(next(iter(self.batches)))
-            self.batches[name] = Batch(Path(tempfile.mkdtemp(dir=self.root)))
-        return self.batches[name]
 
     def drop(self, name: str) -> None:
         """Remove a batch, if it is there."""
