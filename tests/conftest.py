@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 import last_skipped
 import slow_tests
@@ -19,6 +20,8 @@ from growing_rooms import full_room, half_room  # noqa: F401  (fixtures)
 
 COSTLY = "household_story"
 SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))
+settings.register_profile("suite", max_examples=30, deadline=None)  # laws that need more, or fewer, say so
+settings.load_profile("suite")
 MAX_PROCESSES = 8  # each makes the costly fixtures of its files anew
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
@@ -25,7 +26,7 @@ def red(room: Path) -> np.ndarray:
     return match.gaussian_ids
 
 
-def test_a_query_is_recoloured_and_undone(room: Path, capsys: Capture) -> None:
+def test_a_query_is_recoloured_and_undone(room, capsys):
     scene, field = room / "scene.ply", room / "room.field"
     before, output = read_gaussians(scene), room / "edited.ply"
     words = ["--field", field, "--query", "red mug", "--recolour", "#2060ff"]
@@ -35,15 +36,15 @@ def test_a_query_is_recoloured_and_undone(room: Path, capsys: Capture) -> None:
     answer_of(capsys, "edit", scene, "--field", field, "--save", output)
     after = read_gaussians(output)
     changed = np.flatnonzero((np.abs(after.sh - before.sh) > 1e-6).any(axis=(1, 2)))
-    np.testing.assert_array_equal(changed, red(room))
+    assert_array_equal(changed, red(room))
     assert sorted(np.unique(after.extra["object_id"])) == [0, 1]
     assert answer_of(capsys, "edit", scene, "--undo", "--save", room / "undone.ply")["num_undone"] == 1
-    np.testing.assert_array_equal(read_gaussians(room / "undone.ply").sh, before.sh)
+    assert_array_equal(read_gaussians(room / "undone.ply").sh, before.sh)
     assert answer_of(capsys, "edit", scene, "--redo")["num_edits"] == 1
     assert scene.read_bytes() == (room.parent / "room" / "scene.ply").read_bytes()
 
 
-def test_changes_are_done_in_the_order_given(room: Path, capsys: Capture) -> None:
+def test_changes_are_done_in_the_order_given(room, capsys):
     scene, field = room / "scene.ply", room / "room.field"
     answer = answer_of(
         capsys, "edit", scene, "--field", field, "--object", 0, "--scale", 2, "--move", -0.2, 0, 1, "--opacity", 0.5,
@@ -58,7 +59,7 @@ def test_changes_are_done_in_the_order_given(room: Path, capsys: Capture) -> Non
     assert "no edit to undo" in error_of(capsys, "edit", scene, "--undo")
 
 
-def test_a_folder_is_enough_and_pictures_are_before_and_after(room: Path, capsys: Capture) -> None:
+def test_a_folder_is_enough_and_pictures_are_before_and_after(room, capsys):
     for name in ("images", "cameras.json"):
         source = room / "capture" / name
         if source.exists():
@@ -75,7 +76,7 @@ def test_a_folder_is_enough_and_pictures_are_before_and_after(room: Path, capsys
     assert red_pixels[1] < red_pixels[0] / 5
 
 
-def test_labels_boxes_rows_and_photos(room: Path, capsys: Capture) -> None:
+def test_labels_boxes_rows_and_photos(room, capsys):
     scene, field = room / "scene.ply", room / "room.field"
     opened = open_scene(field, scene=scene)
     ids = opened.objects[1].gaussian_ids
@@ -93,7 +94,7 @@ def test_labels_boxes_rows_and_photos(room: Path, capsys: Capture) -> None:
     assert answer["num_gaussians"] == PER_THING - 2
 
 
-def test_an_object_of_another_scene(room: Path, capsys: Capture) -> None:
+def test_an_object_of_another_scene(room, capsys):
     other = room.parent / "other"
     shutil.copytree(room, other)
     scene, field = room / "scene.ply", room / "room.field"
@@ -103,44 +104,44 @@ def test_an_object_of_another_scene(room: Path, capsys: Capture) -> None:
     after = read_gaussians(room / "edited.ply")
     stands = after.subset(after.extra["object_id"] == 0).means
     goes = read_gaussians(scene).means[:PER_THING]
-    np.testing.assert_allclose(stands.mean(axis=0), goes.mean(axis=0), atol=0.05)
+    assert_allclose(stands.mean(axis=0), goes.mean(axis=0), atol=0.05)
     stored = json.loads((room / "scene.edits.json").read_text())["edits"][0]
     assert stored["scene"] == "../other/scene.ply"
 
 
-def test_annotations(room: Path, capsys: Capture) -> None:
+def test_annotations(room, capsys):
     scene, field = room / "scene.ply", room / "room.field"
     answer_of(capsys, "edit", scene, "--field", field, "--query", "red mug", "--annotate", "from Delft")
     answer = answer_of(capsys, "edit", scene, "--at", 1, 2, 3, "--annotate", "here")
     assert [one["text"] for one in answer["annotations"]] == ["from Delft", "here"]
-    np.testing.assert_allclose(answer["annotations"][0]["center"], (-0.7, 0, 0), atol=0.1)
+    assert_allclose(answer["annotations"][0]["center"], (-0.7, 0, 0), atol=0.1)
     assert answer["annotations"][1]["center"] == [1, 2, 3]
     assert "annotation 2: here" in text_of(capsys, "edit", scene)
     answer = answer_of(capsys, "edit", scene, "--drop-annotation", 1)
     assert [one["text"] for one in answer["annotations"]] == ["here"]
 
 
-def test_a_scene_without_a_field_has_pictures_and_an_up_of_its_photos(room: Path, capsys: Capture) -> None:
+def test_a_scene_without_a_field_has_pictures_and_an_up_of_its_photos(room, capsys):
     base = ["edit", room / "scene.ply", "--box", -0.7, 0, 0, 1, 1, 1, "--turn", 30]
     assert "pass --up DIRECTION, e.g. --up +z, or --views CAPTURE" in error_of(capsys, *base)
     assert "pass --views CAPTURE" in error_of(capsys, *base, "--up", "+z", "--picture", room / "out.png")
     answer = answer_of(capsys, *base, "--views", room / "capture", "--picture", room / "out.png")
     assert answer["view"]
     stored = json.loads((room / "scene.edits.json").read_text())["edits"]
-    np.testing.assert_allclose(stored[0]["axis"], (0, 0, 1), atol=0.2)
+    assert_allclose(stored[0]["axis"], (0, 0, 1), atol=0.2)
     assert np.asarray(Image.open(room / "out.png")).shape[1] > 96
 
 
-def test_an_annotation_is_where_its_thing_is_now(room: Path, capsys: Capture) -> None:
+def test_an_annotation_is_where_its_thing_is_now(room, capsys):
     base = ["edit", room / "scene.ply", "--field", room / "room.field"]
     words = ["--query", "red mug", "--move", 0, 0, 2, "--duplicate", 0, 1, 0]
     moved = answer_of(capsys, *base, *words, "--annotate", "up here")
-    np.testing.assert_allclose(moved["annotations"][0]["center"], (-0.7, 0, 2), atol=0.1)
+    assert_allclose(moved["annotations"][0]["center"], (-0.7, 0, 2), atol=0.1)
     copied = answer_of(capsys, *base, "--copies", 2, "--annotate", "its copy")
-    np.testing.assert_allclose(copied["annotations"][1]["center"], (-0.7, 1, 2), atol=0.1)
+    assert_allclose(copied["annotations"][1]["center"], (-0.7, 1, 2), atol=0.1)
 
 
-def test_a_field_does_not_fit_what_was_saved_and_says_what_does(room: Path, capsys: Capture) -> None:
+def test_a_field_does_not_fit_what_was_saved_and_says_what_does(room, capsys):
     for more in ([], ["--duplicate", 0, 1, 0]):
         words = ["--field", room / "room.field", "--query", "red mug", "--move", 0, 0, 2, *more]
         answer_of(capsys, "edit", room / "scene.ply", *words, "--save", room / "saved.ply", "--overwrite")
@@ -165,14 +166,12 @@ def test_a_field_does_not_fit_what_was_saved_and_says_what_does(room: Path, caps
         (["--copies", 1, "--remove"], "edit 1 added nothing"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_done_is_said_and_leaves_nothing(
-    room: Path, capsys: Capture, given: list[object], said: str
-) -> None:
+def test_what_cannot_be_done_is_said_and_leaves_nothing(room, capsys, given, said):
     assert said in error_of(capsys, "edit", room / "scene.ply", *given)
     assert not (room / "scene.edits.json").exists()
 
 
-def test_what_fails_keeps_no_part_of_it(room: Path, capsys: Capture) -> None:
+def test_what_fails_keeps_no_part_of_it(room, capsys):
     """An annotation and a change, changes and their file: the same command can be given again."""
     before = {path.name for path in room.iterdir()}
     base = ["edit", room / "scene.ply", "--field", room / "room.field"]
@@ -188,7 +187,7 @@ def test_what_fails_keeps_no_part_of_it(room: Path, capsys: Capture) -> None:
     assert {path.name for path in room.iterdir()} == before
 
 
-def test_what_moves_is_not_edited_as_a_file(room: Path, capsys: Capture) -> None:
+def test_what_moves_is_not_edited_as_a_file(room, capsys):
     said = error_of(capsys, "edit", room / "frames", "--everything", "--remove")
     assert "this scene moves" in said
     assert "edit a PLY of one time" in said
@@ -204,11 +203,11 @@ def test_what_moves_is_not_edited_as_a_file(room: Path, capsys: Capture) -> None
         ["--everything", "--turn", 3, "--axis", 0, 1],
     ],
 )
-def test_what_is_misspelt_is_misuse(room: Path, capsys: Capture, given: list[object]) -> None:
+def test_what_is_misspelt_is_misuse(room, capsys, given):
     error_of(capsys, "edit", room / "scene.ply", *given, code=2)
 
 
-def test_what_was_saved_of_a_scene_does_not_take_its_place(room: Path, capsys: Capture) -> None:
+def test_what_was_saved_of_a_scene_does_not_take_its_place(room, capsys):
     """The rows are in the same places, and its name comes first."""
     recolour = ["--query", "red mug", "--recolour", "#2060ff"]
     assert answer_of(capsys, "edit", room, *recolour, "--save", room / "answer.ply")["kept"] is False
@@ -229,7 +228,7 @@ APPLIED = "drsplat: 1 kept edit applied (--edits none to leave them out)\n"
 LEFT_OUT = "drsplat: 1 kept edit left out (--edits kept to apply them)\n"
 
 
-def test_a_change_that_is_saved_is_done_alone_and_kept_edits_are_told(room: Path, capsys: Capture) -> None:
+def test_a_change_that_is_saved_is_done_alone_and_kept_edits_are_told(room, capsys):
     scene, ball = room / "scene.ply", ["--box", -0.7, 0, 0, 1, 1, 1]
     count = len(read_gaussians(scene))
     assert notes_of(capsys, "edit", scene, *ball, "--remove", "--save", room / "alone.ply") == ""
@@ -254,7 +253,7 @@ def test_a_change_that_is_saved_is_done_alone_and_kept_edits_are_told(room: Path
     assert answer_of(capsys, "edit", scene, "--list")["num_edits"] == 2
 
 
-def test_what_is_printed_says_where_edits_are(room: Path, capsys: Capture) -> None:
+def test_what_is_printed_says_where_edits_are(room, capsys):
     scene, ball = room / "scene.ply", ["--box", -0.7, 0, 0, 1, 1, 1]
     kept = text_of(capsys, "edit", scene, *ball, "--remove")
     assert f"1 edit kept beside {scene}, 0 undone" in kept
@@ -267,17 +266,17 @@ def test_what_is_printed_says_where_edits_are(room: Path, capsys: Capture) -> No
     assert " edit " not in own  # no table without rows
 
 
-def test_a_picture_shows_the_kept_edits_and_says_so(room: Path, capsys: Capture) -> None:
+def test_a_picture_shows_the_kept_edits_and_says_so(room, capsys):
     base = ["edit", room / "scene.ply", "--views", room / "capture", "--box", -0.7, 0, 0, 1, 1, 1]
     notes_of(capsys, *base, "--remove")
     assert notes_of(capsys, *base, "--opacity", 0.5, "--picture", room / "a.png") == APPLIED
 
 
-def test_annotations_stay_where_the_kept_edits_put_things(room: Path, capsys: Capture) -> None:
+def test_annotations_stay_where_the_kept_edits_put_things(room, capsys):
     base = ["edit", room / "scene.ply", "--field", room / "room.field", "--query", "red mug"]
     answer_of(capsys, *base, "--move", 0, 0, 2)
     answer = answer_of(capsys, *base, "--move", 0, 5, 0, "--save", room / "a.ply", "--annotate", "up here")
-    np.testing.assert_allclose(answer["annotations"][0]["center"], (-0.7, 0, 2), atol=0.1)
+    assert_allclose(answer["annotations"][0]["center"], (-0.7, 0, 2), atol=0.1)
 
 
 @pytest.mark.parametrize(
@@ -288,16 +287,14 @@ def test_annotations_stay_where_the_kept_edits_put_things(room: Path, capsys: Ca
         (["--copies", 1, "--remove", "--save", "out.ply"], "add --edits kept"),
     ],
 )
-def test_what_would_go_nowhere_is_refused(
-    room: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, given: list[object], said: str
-) -> None:
+def test_what_would_go_nowhere_is_refused(room, monkeypatch, capsys, given, said):
     monkeypatch.chdir(room)
     assert said in error_of(capsys, "edit", "scene.ply", *given)
     assert not (room / "scene.edits.json").exists()
 
 
 @pytest.mark.slow
-def test_a_page_and_a_rendering_say_which_edits_are_in_them(room: Path, capsys: Capture) -> None:
+def test_a_page_and_a_rendering_say_which_edits_are_in_them(room, capsys):
     scene, field = room / "scene.ply", room / "room.field"
     answer_of(capsys, "edit", scene, "--box", -0.7, 0, 0, 1, 1, 1, "--remove")
     page = ["view", field, "--scene", scene, "--ask", "blue plate", "--export"]
@@ -320,7 +317,7 @@ def test_a_page_and_a_rendering_say_which_edits_are_in_them(room: Path, capsys: 
 
 
 @pytest.mark.slow
-def test_an_answer_is_drawn_where_edits_have_put_it(room: Path, capsys: Capture) -> None:
+def test_an_answer_is_drawn_where_edits_have_put_it(room, capsys):
     scene, field = room / "scene.ply", room / "room.field"
     drawn = ["render", scene, "--views", room / "capture", "--view", "photo_0", "--field", field, "--query", "red mug"]
     where = ["edit", scene, "--field", field, "--query", "red mug"]
@@ -342,17 +339,13 @@ def test_an_answer_is_drawn_where_edits_have_put_it(room: Path, capsys: Capture)
 @pytest.mark.parametrize(
     ("given", "stored"), [(["x"], [1, 0, 0]), (["+z"], [0, 0, 1]), (["=-y"], [0, -1, 0]), ([0, "-1", 2], [0, -1, 2])]
 )
-def test_an_axis_is_a_letter_or_three_numbers(
-    room: Path, capsys: Capture, given: list[object], stored: list[float]
-) -> None:
+def test_an_axis_is_a_letter_or_three_numbers(room, capsys, given, stored):
     axis = [f"--axis{given[0]}"] if str(given[0]).startswith("=") else ["--axis", *given]
     answer_of(capsys, "edit", room / "scene.ply", "--everything", "--turn", 30, *axis)
     assert json.loads((room / "scene.edits.json").read_text())["edits"][0]["axis"] == stored
 
 
-def test_a_list_is_printed_and_undone_without_being_applied(
-    room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_list_is_printed_and_undone_without_being_applied(room, capsys, monkeypatch):
     """A stranger's list may ask for more than there is memory."""
     scene = room / "scene.ply"
     gaussians = read_gaussians(scene)
@@ -367,9 +360,7 @@ def test_a_list_is_printed_and_undone_without_being_applied(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", ["locate", "select", "segment", "objects", "photograph"])
-def test_what_is_saved_of_a_scene_with_kept_edits_says_that_they_are_left_out(
-    verb: str, room: Path, capsys: Capture
-) -> None:
+def test_what_is_saved_of_a_scene_with_kept_edits_says_that_they_are_left_out(verb, room, capsys):
     scene, field = room / "scene.ply", room / "room.field"
     answer_of(capsys, "edit", scene, "--field", field, "--object", 0, "--remove")
     more = {"segment": ["--classes", "red mug,blue plate"], "objects": []}.get(verb, ["red mug"])
@@ -382,7 +373,7 @@ def test_what_is_saved_of_a_scene_with_kept_edits_says_that_they_are_left_out(
         assert len(read_gaussians(room / "out.ply")) == 2 * PER_THING  # and they are
 
 
-def test_a_service_names_the_scenes_whose_kept_edits_its_answers_lack(room: Path, capsys: Capture) -> None:
+def test_a_service_names_the_scenes_whose_kept_edits_its_answers_lack(room, capsys):
     (room / "broken").mkdir()
     (room / "broken" / "x.field").mkdir()
     note_own_scenes([room, room / "broken"])
@@ -398,7 +389,7 @@ def test_a_service_names_the_scenes_whose_kept_edits_its_answers_lack(room: Path
     assert capsys.readouterr().err == ""
 
 
-def test_inspect_counts_the_kept_edits(room: Path, capsys: Capture) -> None:
+def test_inspect_counts_the_kept_edits(room, capsys):
     assert answer_of(capsys, "inspect", room / "scene.ply")["num_kept_edits"] == 0
     answer_of(capsys, "edit", room / "scene.ply", "--everything", "--opacity", 0.5)
     assert [answer_of(capsys, "inspect", path)["num_kept_edits"] for path in (room / "scene.ply", room)] == [1, 1]

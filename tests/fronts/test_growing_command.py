@@ -64,7 +64,7 @@ def remove(room: Path, field: Path, *views: object) -> tuple[object, ...]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--code", "pq", "--subvectors", "16"), ("--aggregator", "robust")])
-def test_the_files_are_those_of_one_registration(more: tuple[str, ...], room: Path, capsys: Capture) -> None:
+def test_the_files_are_those_of_one_registration(more, room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS[:2], more=more)
     told = answer_of(capsys, *add(room, field, room / "capture/language_features"))
     assert (told["added"], told["num_views_unchanged"]) == (["photo_2.png", "photo_3.png"], 2)
@@ -79,7 +79,7 @@ def test_the_files_are_those_of_one_registration(more: tuple[str, ...], room: Pa
     assert sorted(path.name for path in room.iterdir() if "parts" in path.name or path.name.startswith(".")) == []
 
 
-def test_a_field_that_views_were_taken_out_of_has_the_files_of_one_without_them(room: Path, capsys: Capture) -> None:
+def test_a_field_that_views_were_taken_out_of_has_the_files_of_one_without_them(room, capsys):
     """Also where other views were left out of the two from the start: `field.json` says so, and nothing else."""
     few = room / "few.txt"
     fields = []
@@ -90,7 +90,7 @@ def test_a_field_that_views_were_taken_out_of_has_the_files_of_one_without_them(
     assert others_than(files_of(fields[0]), files_of(fields[1])) == {"field.json"}
 
 
-def test_what_people_read(room: Path, capsys: Capture) -> None:
+def test_what_people_read(room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS[:3])
     text = text_of(capsys, *add(room, field, room / "capture/language_features"))
     assert text.startswith(f"added to {field}")
@@ -103,7 +103,7 @@ def test_what_people_read(room: Path, capsys: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_a_view_that_was_removed_comes_back_when_it_is_named(room: Path, capsys: Capture) -> None:
+def test_a_view_that_was_removed_comes_back_when_it_is_named(room, capsys):
     field, features = register(room, capsys, "a.field", *PHOTOS[:3]), room / "capture/language_features"
     before = files_of(field)
     answer_of(capsys, *remove(room, field, "photo_1"))
@@ -120,7 +120,7 @@ def test_a_view_that_was_removed_comes_back_when_it_is_named(room: Path, capsys:
     assert "drop --views" in error_of(capsys, *add(room, field, features, "--views", "photo_3", "--watch"))
 
 
-def test_a_folder_with_a_field_and_its_scene_needs_no_more(room: Path, capsys: Capture) -> None:
+def test_a_folder_with_a_field_and_its_scene_needs_no_more(room, capsys):
     register(room, capsys, "a.field", *PHOTOS[:3])
     (room / "points.ply").unlink()
     told = answer_of(capsys, "add", room, room / "capture", "--features", room / "capture/language_features")
@@ -128,7 +128,7 @@ def test_a_folder_with_a_field_and_its_scene_needs_no_more(room: Path, capsys: C
     assert "pass --scene SCENE" in error_of(capsys, "remove", room / "a.field", "--views", "photo_3")
 
 
-def test_features_that_have_become_others_are_taken_over_when_told_to(room: Path, capsys: Capture) -> None:
+def test_features_that_have_become_others_are_taken_over_when_told_to(room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS)
     before = files_of(field)
     features = room / "capture/language_features"
@@ -142,7 +142,7 @@ def test_features_that_have_become_others_are_taken_over_when_told_to(room: Path
     assert answer_of(capsys, *add(room, field, features, "--replace"))["replaced"] == []
 
 
-def test_objects_are_found_again_and_names_stay(room: Path, capsys: Capture) -> None:
+def test_objects_are_found_again_and_names_stay(room, capsys):
     for name, photos in (("a.field", PHOTOS[:3]), ("b.field", PHOTOS)):
         field = register(room, capsys, name, *photos)
         assert answer_of(capsys, "objects", field, "--scene", room / "scene.ply")["num_objects"] == 2
@@ -162,14 +162,14 @@ def test_objects_are_found_again_and_names_stay(room: Path, capsys: Capture) -> 
         (["*"], "these are all 3 views"),
     ],
 )
-def test_views_that_cannot_go(views: list[str], said: str, room: Path, capsys: Capture) -> None:
+def test_views_that_cannot_go(views, said, room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS[:3])
     before = files_of(field)
     assert said in error_of(capsys, *remove(room, field, *views))
     assert files_of(field) == before
 
 
-def test_bad_input_changes_nothing(room: Path, capsys: Capture) -> None:
+def test_bad_input_changes_nothing(room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS[:3])
     before = files_of(field)
     features = room / "capture/language_features"
@@ -194,7 +194,7 @@ def _renamed(room: Path) -> Path:
     return folder
 
 
-def test_a_field_of_an_older_version_says_what_to_do(room: Path, capsys: Capture) -> None:
+def test_a_field_of_an_older_version_says_what_to_do(room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS[:3])
     old = ds.load_field(field)
     replace(old, growth=None).save(room / "old.field")
@@ -224,7 +224,7 @@ main({argv})
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["second view", "save"])
-def test_a_killed_run_loses_nothing_and_goes_on(moment: str, room: Path, capsys: Capture) -> None:
+def test_a_killed_run_loses_nothing_and_goes_on(moment, room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS[:2])
     before = files_of(field)
     argv = [*map(str, add(room, field, room / "capture/language_features"))]
@@ -253,7 +253,7 @@ main({argv})
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", ["add", "remove"])
-def test_a_command_that_was_killed_when_it_had_ended_is_given_again(verb: str, room: Path, capsys: Capture) -> None:
+def test_a_command_that_was_killed_when_it_had_ended_is_given_again(verb, room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS[:3])
     entries = sorted(room.iterdir())
     argv = remove(room, field, "photo_0", "photo_1")
@@ -287,7 +287,7 @@ sys.exit(main({argv}))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [300, 12_000])
-def test_a_full_disk_is_told_and_changes_nothing(limit: int, room: Path, capsys: Capture) -> None:
+def test_a_full_disk_is_told_and_changes_nothing(limit, room, capsys):
     """At the first part, and at the field."""
     field = register(room, capsys, "a.field", *PHOTOS[:2])
     before = files_of(field)
@@ -302,7 +302,7 @@ def test_a_full_disk_is_told_and_changes_nothing(limit: int, room: Path, capsys:
 
 
 @pytest.mark.slow
-def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_capture_that_grows_is_followed(room, capsys, monkeypatch):
     """Poses come first, then features view by view, file by file."""
     from drsplat.field.growing import watching
 
@@ -332,7 +332,7 @@ def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypat
     assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS, capture="live"))
 
 
-def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room: Path) -> None:
+def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room):
     from drsplat.field.growing.watching import Watch
 
     views, features = ds.read_views(room / "capture"), ds.read_features(some_features(room, "photo_1"))
@@ -348,7 +348,7 @@ def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room: Pa
     assert watch.arrived() is None
 
 
-def test_watching_ends_on_ctrl_c(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_watching_ends_on_ctrl_c(room, capsys, monkeypatch):
     from drsplat.field.growing import watching
 
     field = register(room, capsys, "a.field", *PHOTOS[:2])
@@ -388,9 +388,7 @@ def swapped(room: Path, capsys: Capture, *more: object, code: int = 0) -> tuple[
     )
 
 
-def test_another_encoder_takes_the_weights_of_a_field(
-    room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_encoder_takes_the_weights_of_a_field(room, capsys, monkeypatch):
     from drsplat.field.evidence.aggregation import record
 
     field = register(room, capsys, "a.field", *PHOTOS, more=("--topk", "7", "--near", "0.3"))
@@ -402,7 +400,7 @@ def test_another_encoder_takes_the_weights_of_a_field(
     assert files_of(room / "swapped.field") == files_of(room / "whole.field")
 
 
-def test_weights_of_other_masks_are_refused(room: Path, capsys: Capture) -> None:
+def test_weights_of_other_masks_are_refused(room, capsys):
     field = register(room, capsys, "a.field", *PHOTOS)
     argv = (*swapped(room, capsys), "--output", room / "b.field", "--weights-of", field)
     assert "drop --topk and --near" in error_of(capsys, *argv, "--topk", "3", "--near", "0.1")

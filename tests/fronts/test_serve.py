@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from command_line import Capture, error_of
+from command_line import error_of
 from drsplat import LanguageField, MiniEncoder, load_field
 from drsplat.evaluation.demo import story as household
 from drsplat.field.codes import PQCode
@@ -103,7 +103,7 @@ def reason(answer: Any, status: int) -> str:
     return str(body["error"])
 
 
-def test_scenes_are_listed_without_opening_them(service: Service) -> None:
+def test_scenes_are_listed_without_opening_them(service):
     listed = {one["name"]: one for one in told(service("GET", "/scenes"))["scenes"]}
     assert set(listed) == {"damaged", "room", "same room"}
     details = told(service("GET", "/scenes/same%20room"))
@@ -113,7 +113,7 @@ def test_scenes_are_listed_without_opening_them(service: Service) -> None:
     assert told(service("GET", "/health")) == {"status": "ok", "num_scenes": 3}
 
 
-def test_answers_are_those_of_the_library(service: Service, folder: Path) -> None:
+def test_answers_are_those_of_the_library(service, folder):
     scene = open_scene(folder / "room")
     vector = MiniEncoder().encode_texts(["red vase"])[0]
     asked = scene.ask(Query(text="red vase"))
@@ -136,7 +136,7 @@ def test_answers_are_those_of_the_library(service: Service, folder: Path) -> Non
         assert (picture.format, max(picture.size)) == ("PNG", 200)
 
 
-def test_points_clicks_images_and_classes(service: Service, folder: Path) -> None:
+def test_points_clicks_images_and_classes(service, folder):
     scene = open_scene(folder / "room")
     vase = scene.locate("red vase")[0]
     point = [float(x) for x in vase.center]
@@ -168,7 +168,7 @@ def encoded(image: Image.Image) -> str:
     return base64.b64encode(buffer.getvalue()).decode()
 
 
-def test_pictures(service: Service) -> None:
+def test_pictures(service):
     for given in ({}, {"text": "red vase"}, {"text": "laptop"}, {"photo": True, "view": "frame_00003"}):
         answer = service("POST", "/scenes/room/picture", json={**given, "max_side": 160})
         assert answer.headers["content-type"] == "image/png"
@@ -185,7 +185,7 @@ TRICKS = (
 
 
 @pytest.mark.parametrize("name", TRICKS)
-def test_names_never_become_paths(name: str, service: Service) -> None:
+def test_names_never_become_paths(name, service):
     for method, path, given in (
         ("GET", f"/scenes/{name}", {}),
         ("POST", f"/scenes/{name}/select", {"json": {"text": "mug"}}),
@@ -197,7 +197,7 @@ def test_names_never_become_paths(name: str, service: Service) -> None:
         assert "root:" not in answer.text
 
 
-def test_the_scene_folder_looks_names_up(folder: Path) -> None:
+def test_the_scene_folder_looks_names_up(folder):
     scene_folder = SceneFolder(folder)
     for name in ("../" + folder.name, str(folder / "room"), "room/../room", "", ".", "no scene"):
         with pytest.raises(UnknownSceneError, match="'room'"):
@@ -209,7 +209,7 @@ def test_the_scene_folder_looks_names_up(folder: Path) -> None:
     assert few.scene("room") is not first
 
 
-def test_photos_are_those_of_the_scene(service: Service) -> None:
+def test_photos_are_those_of_the_scene(service):
     for view in ("../../truth.json", "/etc/passwd", "frame_00001.jpg/../frame_00002.jpg", "\0"):
         answer = service("GET", "/scenes/room/photo", params={"view": view})
         assert "no view" in reason(answer, 422)
@@ -254,7 +254,7 @@ WRONG: list[tuple[str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("route", "given", "said"), WRONG)
-def test_what_makes_no_sense_gets_a_reason(route: str, given: Any, said: str, service: Service, folder: Path) -> None:
+def test_what_makes_no_sense_gets_a_reason(route, given, said, service, folder):
     text = reason(service("POST", f"/scenes/room/{route}", json=given), 422)
     assert said.lower() in text.lower()
     assert str(folder) not in text
@@ -264,7 +264,7 @@ def test_what_makes_no_sense_gets_a_reason(route: str, given: Any, said: str, se
     "body",
     [b"", b"{", b"\xff\xfe", b'{"text": "\\ud800"}', b'{"point": [NaN, 0, 0]}', b"[" * 20_000, b'{"text": 1e999}'],
 )
-def test_malformed_bodies(body: bytes, service: Service) -> None:
+def test_malformed_bodies(body, service):
     json_type = {"content-type": "application/json"}
     answer = service("POST", "/scenes/room/select", content=body, headers=json_type)
     assert 400 <= answer.status_code < 500, answer.text
@@ -280,14 +280,14 @@ def test_malformed_bodies(body: bytes, service: Service) -> None:
         ('{"text": "lamp"}'.encode("utf-16"), "in UTF-8"),
     ],
 )
-def test_a_body_of_which_a_reader_would_have_to_guess_is_refused(body: bytes, said: str, service: Service) -> None:
+def test_a_body_of_which_a_reader_would_have_to_guess_is_refused(body, said, service):
     """The last of two was taken, in silence."""
     answer = service("POST", "/scenes/room/select", content=body, headers={"content-type": "application/json"})
     assert said in reason(answer, 422)
 
 
 @pytest.mark.parametrize("kind", [None, "text/plain", "application/x-www-form-urlencoded", "multipart/form-data; x"])
-def test_a_body_that_is_not_said_to_be_json_is_told_how(kind: str | None, service: Service) -> None:
+def test_a_body_that_is_not_said_to_be_json_is_told_how(kind, service):
     headers = {} if kind is None else {"content-type": kind}
     answer = service("POST", "/scenes/room/select", content=b'{"text": "red vase"}', headers=headers)
     assert "Content-Type: application/json" in reason(answer, 415)
@@ -295,21 +295,21 @@ def test_a_body_that_is_not_said_to_be_json_is_told_how(kind: str | None, servic
     told(service("POST", "/scenes/room/select", content=b'{"text": "red vase"}', headers=charset))
 
 
-def test_a_damaged_scene_says_so_and_others_still_answer(service: Service, folder: Path) -> None:
+def test_a_damaged_scene_says_so_and_others_still_answer(service, folder):
     text = reason(service("POST", "/scenes/damaged/select", json={"text": "mug"}), 503)
     assert "cannot be opened" in text
     assert str(folder) not in text
     assert service("POST", "/scenes/room/select", json={"text": "vase"}).status_code == 200
 
 
-def test_a_text_without_a_match_is_told_how_near_it_came(service: Service) -> None:
+def test_a_text_without_a_match_is_told_how_near_it_came(service):
     advice = service("POST", "/scenes/room/locate", json={"text": "laptop"}).json()["advice"]
     assert advice.startswith("no match: The best place has a ")
     assert "Words that match here: " in advice
     assert service("POST", "/scenes/room/locate", json={"text": "mug"}).json().get("advice", "") == ""
 
 
-def test_unknown_routes_and_methods(service: Service) -> None:
+def test_unknown_routes_and_methods(service):
     assert "nothing at '/nothing': GET /openapi.json" in reason(service("GET", "/nothing"), 404)
     reason(service("DELETE", "/scenes"), 405)
     assert reason(service("GET", "/scenes/room/select"), 405) == "expected POST here, got GET"
@@ -317,7 +317,7 @@ def test_unknown_routes_and_methods(service: Service) -> None:
     assert unknown == "body: there is no such field: txt. Did you mean 'text'?"
 
 
-def test_bodies_and_pictures_are_bounded(folder: Path) -> None:
+def test_bodies_and_pictures_are_bounded(folder):
     small = Service(folder, limits=Limits(body_bytes=2000, pixels=1000))
     long = {"text": "mug", "exclude": ["red"] * 1000}
     assert "2,000 bytes" in reason(small("POST", "/scenes/room/select", json=long), 413)
@@ -332,7 +332,7 @@ def test_bodies_and_pictures_are_bounded(folder: Path) -> None:
     assert "at most 1,000" in reason(small("POST", "/scenes/room/select", json=large), 422)
 
 
-def test_who_has_no_key_is_told(folder: Path) -> None:
+def test_who_has_no_key_is_told(folder):
     closed = Service(folder, key=KEY)
     assert "Bearer" in reason(closed("GET", "/scenes"), 401)
     for header in (
@@ -347,7 +347,7 @@ def test_who_has_no_key_is_told(folder: Path) -> None:
     told(closed("GET", "/health"))
 
 
-def test_only_by_its_own_names(folder: Path) -> None:
+def test_only_by_its_own_names(folder):
     local = Service(folder, hosts=("127.0.0.1", "[::1]"))
     for host in ("evil.example", "127.0.0.1.evil.example", "", "[::1].evil"):
         reason(local("GET", "/health", headers={"host": host}), 400)
@@ -362,7 +362,7 @@ def processes_of(service: Service) -> list[int]:
 
 
 @pytest.mark.slow
-def test_too_slow_and_too_many(folder: Path) -> None:
+def test_too_slow_and_too_many(folder):
     """A stopped process is one that never has done: it is ended, and its place is free for others."""
     busy = Service(folder, limits=Limits(seconds=3.0, workers=1, waiting=2))
     with closing(busy):
@@ -398,7 +398,7 @@ def renamed(scene: Path) -> LanguageField:
 
 
 @pytest.mark.slow
-def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folder, tmp_path):
     scene = copied(folder / "room", tmp_path / "one")
     (tmp_path / "other").symlink_to(folder / "room")
     asked = {"vector": [1.0] * 512, "threshold": 0.5}
@@ -426,9 +426,7 @@ def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folde
 
 
 @pytest.mark.slow
-def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(folder, tmp_path, monkeypatch):
     """Large files are mapped; nothing can keep a process that reads on from being ended (SIGBUS)."""
     started = workbench._process
 
@@ -447,7 +445,7 @@ def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(
         told(service("POST", "/scenes/room/select", json=VASE))
 
 
-def test_a_killed_process_that_was_idle_costs_nothing(service: Service) -> None:
+def test_a_killed_process_that_was_idle_costs_nothing(service):
     told(service("POST", "/scenes/room/select", json=VASE))
     for process in processes_of(service):
         os.kill(process, signal.SIGKILL)
@@ -456,9 +454,7 @@ def test_a_killed_process_that_was_idle_costs_nothing(service: Service) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["1 / 0", "(_ for _ in ()).throw(type('PanicException', (BaseException,), {})())"])
-def test_no_exception_of_a_request_ends_a_process(
-    fault: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_no_exception_of_a_request_ends_a_process(fault, folder, monkeypatch, capfd):
     broken = f"import sys; from drsplat.fronts.serving import worker; worker.answered = lambda *_: {fault}; "
     monkeypatch.setattr(
         workbench, "WORKER_COMMAND", [sys.executable, "-c", broken + "worker.main(int(sys.argv[1]), int(sys.argv[2]))"]
@@ -475,7 +471,7 @@ def test_no_exception_of_a_request_ends_a_process(
 
 
 @pytest.mark.slow
-def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path) -> None:
+def test_odd_names_and_pipes_do_not_break_the_list(folder, tmp_path):
     copied(folder / "room", tmp_path / "good")
     os.mkfifo(copied(folder / "room", tmp_path / "pipe") / "room.field" / "pipe")
     manifest = tmp_path / "pipe" / "room.field" / "field.json"
@@ -498,9 +494,7 @@ def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_refusals_tell_no_paths_and_are_not_corrupted(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refusals_tell_no_paths_and_are_not_corrupted(folder, tmp_path, monkeypatch):
     secret = tmp_path / "secret" / "words.json"
     secret.parent.mkdir()
     secret.write_text("{")
@@ -520,7 +514,7 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(
 
 
 @pytest.mark.slow
-def test_a_model_that_is_not_there_is_refused_without_its_path(folder: Path, tmp_path: Path) -> None:
+def test_a_model_that_is_not_there_is_refused_without_its_path(folder, tmp_path):
     for library in ("torch", "transformers"):  # without them the answer is another: 503, with what to install
         pytest.importorskip(library)
     away = str(tmp_path / "secret" / "model")
@@ -530,7 +524,7 @@ def test_a_model_that_is_not_there_is_refused_without_its_path(folder: Path, tmp
         assert "model: " in text
 
 
-def test_heads_pages_and_origins(service: Service, folder: Path) -> None:
+def test_heads_pages_and_origins(service, folder):
     head = service("HEAD", "/scenes/room")
     assert (head.status_code, head.content) == (200, b"")
     assert head.headers["content-length"] == service("GET", "/scenes/room").headers["content-length"]
@@ -555,7 +549,7 @@ def test_heads_pages_and_origins(service: Service, folder: Path) -> None:
         assert "Bearer" in reason(allowed("GET", "/scenes", headers=asking), 401)
 
 
-def test_few_large_bodies_at_once(folder: Path) -> None:
+def test_few_large_bodies_at_once(folder):
     limits = Limits(large_bodies=0, body_bytes=1 << 20)
     with closing(Service(folder, limits=limits)) as busy:
         large = {"vector": [0.123456789] * 8000}
@@ -563,7 +557,7 @@ def test_few_large_bodies_at_once(folder: Path) -> None:
         told(busy("POST", "/scenes/room/select", json=VASE))
 
 
-def test_what_cannot_be_served_is_said_at_the_start(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_what_cannot_be_served_is_said_at_the_start(folder, tmp_path, capsys):
     assert "no scene is here" in error_of(capsys, "serve", tmp_path)
     words = tmp_path / "words.json"
     words.write_text("{")
@@ -572,7 +566,7 @@ def test_what_cannot_be_served_is_said_at_the_start(folder: Path, tmp_path: Path
     assert "drop one" in error_of(capsys, "serve", folder, *both)
 
 
-def test_a_port_that_is_taken_is_told_before_an_address_is(folder: Path, capsys: Capture) -> None:
+def test_a_port_that_is_taken_is_told_before_an_address_is(folder, capsys):
     with bound_socket("127.0.0.1", 0) as other:
         port = other.getsockname()[1]
         text = error_of(capsys, "serve", folder, "--port", port)
@@ -582,7 +576,7 @@ def test_a_port_that_is_taken_is_told_before_an_address_is(folder: Path, capsys:
 
 
 @pytest.mark.slow
-def test_metrics_count(folder: Path) -> None:
+def test_metrics_count(folder):
     counted = Service(folder)
     told(counted("POST", "/scenes/room/select", json={"text": "vase"}))
     reason(counted("POST", "/scenes/room/select", json={}), 422)
@@ -596,7 +590,7 @@ def test_metrics_count(folder: Path) -> None:
     assert "drsplat_waiting 0.0" in lines
 
 
-def test_the_description_has_examples_and_refusals(service: Service) -> None:
+def test_the_description_has_examples_and_refusals(service):
     described = told(service("GET", "/openapi.json"))
     for path, methods in described["paths"].items():
         for method in methods.values():
@@ -615,7 +609,7 @@ def running(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[byte
     command = [sys.executable, "-m", "drsplat", "serve", str(folder), "--port", str(port), "--threads", "1"]
     environment = {**os.environ, "PYTHONPATH": ""}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    server = subprocess.Popen([*command, *options], env=environment, **quiet)  # type: ignore[call-overload]
+    server = subprocess.Popen([*command, *options], env=environment, **quiet)
     try:
         wait_for(lambda: asked(port, "GET", "/health")[0] == 200)
         yield server, port
@@ -646,7 +640,7 @@ def wait_for(true: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_worker_loses_no_field_and_a_stopped_service_ends_well(folder: Path) -> None:
+def test_a_killed_worker_loses_no_field_and_a_stopped_service_ends_well(folder):
     body = {"text": "red vase", "ids": True}
     with running(folder, "--workers", "2") as (server, port):
         before = asked(port, "POST", "/scenes/room/select", body)
@@ -664,7 +658,7 @@ def test_a_killed_worker_loses_no_field_and_a_stopped_service_ends_well(folder: 
         assert server.wait(60) in (0, -signal.SIGTERM)
 
 
-def test_other_machines_are_let_in_only_on_purpose(tmp_path: Path, capsys: Capture) -> None:
+def test_other_machines_are_let_in_only_on_purpose(tmp_path, capsys):
     assert "--api-key-file" in error_of(capsys, "serve", tmp_path, "--host", "0.0.0.0")
     (tmp_path / "key").write_text("short\n")
     argv = ["serve", tmp_path, "--host", "0.0.0.0", "--api-key-file"]

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from drsplat.scene.moving import Frames, Moving
 
 
 @pytest.mark.slow
-def test_the_same_seed_makes_the_same_film() -> None:
+def test_the_same_seed_makes_the_same_film():
     one, other = make_film(0), make_film(0)
     assert one.moving.canonical.fingerprint == other.moving.canonical.fingerprint
     assert make_film(1).moving.canonical.fingerprint != one.moving.canonical.fingerprint
@@ -25,7 +24,7 @@ def test_the_same_seed_makes_the_same_film() -> None:
     assert len(one.names) == len(KINDS) + 1
 
 
-def test_three_things_move_as_one_piece_each_and_the_others_do_not() -> None:
+def test_three_things_move_as_one_piece_each_and_the_others_do_not():
     film = make_film(1)
     first, later = film.moving.at(0.0), film.moving.at(float(film.moving.times[20]))
     for label in range(len(film.names)):
@@ -38,14 +37,14 @@ def test_three_things_move_as_one_piece_each_and_the_others_do_not() -> None:
     assert np.array_equal(still.at(0.0).means, still.at(1.3).means)
 
 
-def test_cameras_stand_but_for_one() -> None:
+def test_cameras_stand_but_for_one():
     film = make_film(0)
     places = np.array([view.center for view in film.views]).reshape(FIXED + 1, TIMES, 3)
     assert (np.ptp(places, axis=1).max(axis=1) < 1e-9).tolist() == [True] * FIXED + [False]
 
 
 @pytest.mark.slow
-def test_a_moving_car_is_found_where_it_is() -> None:
+def test_a_moving_car_is_found_where_it_is():
     """Of every tenth time; the study has all of them."""
     whole = make_film(0)
     views = tuple(view for number, view in enumerate(whole.views) if number % TIMES % 10 == 0)
@@ -55,14 +54,13 @@ def test_a_moving_car_is_found_where_it_is() -> None:
     track = scene.tracks(scene.locate(film.names[1], top=1))[0]
     for time in film.moving.times[::15].tolist():
         at, found = film.moving.at(time), track.at(time)
-        assert found is not None
         true = box_of(at, solid(at, np.flatnonzero(film.labels == 1)), np.array([0.0, 0, 1]))
         assert np.linalg.norm(found.center - true.center) < 0.02
         assert np.abs(found.extent - true.extent).max() < 0.04
 
 
 @pytest.mark.slow
-def test_a_film_in_files_is_registered_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_film_in_files_is_registered_as_it_is(tmp_path, capsys):
     """Of the first and the last time."""
     whole = make_film(0)
     stamps = whole.moving.times[[0, -1]]
