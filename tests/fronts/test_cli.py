@@ -1,7 +1,6 @@
 """The command line: what it prints where, its exit codes, and that it can be killed."""
 
 import json
-import os
 import shlex
 import shutil
 import signal
@@ -16,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from command_line import answer_of, error_of, text_of
+from command_line import Capture, Line, answer_of, error_of, text_of
 from drsplat import EncoderIdentity, WordEncoder, cli, load_field, read_gaussians, read_views, write_gaussians
 from drsplat.base.progress import track
 from drsplat.cli import VERBS, main
@@ -34,6 +33,16 @@ from twins.page_codes import read_page
 def room(story: Story, demo_folder: Path) -> Path:
     """The small demo's files."""
     return demo_folder
+
+
+@pytest.fixture
+def inspect(capsys: Capture) -> Line:
+    return Line(capsys, "inspect")
+
+
+@pytest.fixture
+def locate(room: Path, capsys: Capture) -> Line:
+    return Line(capsys, "locate", room / "room.field")
 
 
 def registering(room: Path, output: Path, codebook: Path | None = None) -> list[object]:
@@ -110,12 +119,12 @@ def test_bad_usage_is_json_too(capsys):
     assert "CAPTURE" in answer["error"]
 
 
-def test_an_error_is_1_a_line_and_json(tmp_path, capsys):
-    assert "there is no such" in error_of(capsys, "inspect", tmp_path / "nothing")
-    answer = answer_of(capsys, "inspect", tmp_path / "nothing", code=1)
+def test_an_error_is_1_a_line_and_json(tmp_path, inspect):
+    assert "there is no such" in inspect.error(tmp_path / "nothing")
+    answer = inspect(tmp_path / "nothing", code=1)
     assert answer["kind"] == "InputError"
     (tmp_path / "bad.ply").write_bytes(b"ply\nrubbish")
-    assert answer_of(capsys, "inspect", tmp_path / "bad.ply", code=1)["kind"] == "FormatError"
+    assert inspect(tmp_path / "bad.ply", code=1)["kind"] == "FormatError"
 
 
 def test_debug_shows_the_traceback(tmp_path):
@@ -161,13 +170,13 @@ def test_closed_pipe_is_quiet(room):
     assert process.wait() == cli.PIPE_CLOSED
 
 
-def test_a_warning_is_one_line_on_stderr(room, tmp_path, capsys):
+def test_a_warning_is_one_line_on_stderr(room, tmp_path, capsys, inspect):
     shutil.copytree(room / "sparse", tmp_path / "sparse")
     (tmp_path / "images").mkdir()
     before = warnings.showwarning
-    answer = answer_of(capsys, "inspect", tmp_path)
+    answer = inspect(tmp_path)
     assert answer["num_photos"] == 0
-    text_of(capsys, "inspect", tmp_path)
+    inspect.text(tmp_path)
     main(["inspect", str(tmp_path)])
     err = capsys.readouterr().err
     assert err.startswith("drsplat: warning: ")
@@ -175,40 +184,40 @@ def test_a_warning_is_one_line_on_stderr(room, tmp_path, capsys):
     assert warnings.showwarning is before
 
 
-def test_inspect_tells_what_things_are(room, story, capsys):
-    scene = answer_of(capsys, "inspect", room / "scene.ply")
+def test_inspect_tells_what_things_are(room, story, inspect):
+    scene = inspect(room / "scene.ply")
     assert (scene["kind"], scene["num_gaussians"]) == ("scene", len(story.gaussians))
     assert scene["fingerprint"] == story.gaussians.fingerprint
     assert_allclose(scene["lowest"], story.gaussians.means.min(0))
     assert scene["opacity"]["p50"] == pytest.approx(np.median(story.gaussians.opacities), rel=1e-5)
-    folder = answer_of(capsys, "inspect", room)  # a field, its scene and its photos
+    folder = inspect(room)  # a field, its scene and its photos
     assert (folder["kind"], folder["num_views"], folder["num_photos"]) == ("scene folder", 12, 12)
     assert (folder["field"], folder["scene"]) == (str(room / "room.field"), str(room / "scene.ply"))
     assert (folder["num_registered"], folder["num_gaussians"]) == (len(story.field), len(story.gaussians))
     assert_allclose(folder["views"][0]["K"], story.views[0].K)
-    features = answer_of(capsys, "inspect", room / "language_features")
+    features = inspect(room / "language_features")
     assert (features["kind"], features["dim"]) == ("features", 512)
     assert features["masks_per_level"]["large"] == story.num_masks
-    field = answer_of(capsys, "inspect", room / "room.field")
+    field = inspect(room / "room.field")
     assert (field["kind"], field["num_registered"]) == ("field", len(story.field))
     assert field["encoder"] == WordEncoder.identity.name
     assert sum(field["file_bytes"].values()) > 100 * len(story.field)
     for path in ("scene.ply", "", "language_features", "room.field"):
-        assert str(room / path) in text_of(capsys, "inspect", room / path).replace("\n", "")
+        assert str(room / path) in inspect.text(room / path).replace("\n", "")
 
 
-def test_inspect_knows_a_vocabulary_from_cameras(room, tmp_path, capsys):
+def test_inspect_knows_a_vocabulary_from_cameras(room, tmp_path, inspect):
     words = tmp_path / "words.json"
     words.write_text(json.dumps({"frames": [1, 0, 0], "red mug": [0.0, 1.0, 0.0]}))
-    vocabulary = answer_of(capsys, "inspect", words)
+    vocabulary = inspect(words)
     assert (vocabulary["kind"], vocabulary["dim"]) == ("vocabulary", 3)
     assert vocabulary["texts"] == ["frames", "red mug"]
     cameras = tmp_path / "some_cameras.json"
     write_cameras_json(cameras, read_views(room))
-    assert answer_of(capsys, "inspect", cameras)["kind"] == "capture"
+    assert inspect(cameras)["kind"] == "capture"
     frameless = tmp_path / "transforms.json"
     frameless.write_text("{}")
-    assert "frames: expected a list" in error_of(capsys, "inspect", frameless)
+    assert "frames: expected a list" in inspect.error(frameless)
 
 
 def test_register_refuses_what_is_no_field_before_it_works(room, tmp_path, capsys):
@@ -255,7 +264,7 @@ def test_register_reports_and_refuses_to_overwrite(room, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_register_takes_the_smaller_code(room, story, tmp_path, capsys):
+def test_register_takes_the_smaller_code(room, story, tmp_path, capsys, inspect):
     output, named = tmp_path / "a.field", ("--encoder-name", "drsplat-words")
     report = answer_of(capsys, *registering(room, output), *named)
     assert (report["code"], report["atoms_per_row"], report["bytes_per_gaussian"]) == ("mixture", 4, 14)
@@ -263,7 +272,7 @@ def test_register_takes_the_smaller_code(room, story, tmp_path, capsys):
     query = WordEncoder().encode_texts(["red mug"])[0]
     errors = field.scores(query) - story.field.scores(query)
     assert np.sqrt((errors**2).mean()) < 0.01
-    listed = answer_of(capsys, "inspect", output)
+    listed = inspect(output)
     assert (listed["code"], listed["num_atoms"]) == ("mixture", report["num_atoms"])
     finer = answer_of(capsys, *registering(room, output), *named, "--atoms", "8", "--overwrite")
     assert finer["bytes_per_gaussian"] == 26
@@ -339,9 +348,9 @@ def test_parts_of_other_settings_are_not_used(room, codebook, tmp_path, capsys):
     assert answer_of(capsys, *argv)["num_views_reused"] == 12
 
 
-def test_query_in_words(room, story, capsys):
+def test_query_in_words(room, story, locate):
     scene = ["--scene", room / "scene.ply"]
-    answer = answer_of(capsys, "locate", room / "room.field", "blue cup", *scene)
+    answer = locate("blue cup", *scene)
     assert (answer["num_matches"], answer["measure"]) == (1, "cosine")
     assert answer["threshold"] == WordEncoder.threshold
     truth = story.gaussians.means[story.room.members("blue mug")]
@@ -350,60 +359,40 @@ def test_query_in_words(room, story, capsys):
     assert thing["support"][0]["view"].startswith("photo_")
     assert 0 < thing["support"][0]["share"] <= 1
     assert answer["score_range"][0] < answer["score_p99"] <= answer["score_range"][1] <= 1
-    out = text_of(capsys, "locate", room / "room.field", "blue cup", *scene)
+    out = locate.text("blue cup", *scene)
     assert "1 match of 'blue cup'" in out
     assert "threshold 0.6" in out
 
 
-def test_query_that_finds_nothing_says_so(room, capsys):
-    argv = ["locate", room / "room.field", "elephant", "--scene", room / "scene.ply"]
-    answer = answer_of(capsys, *argv)
+def test_query_that_finds_nothing_says_so(room, locate):
+    nothing = locate.plus("--scene", room / "scene.ply")
+    answer = nothing("elephant")
     assert (answer["num_matches"], answer["matches"], answer["num_selected"]) == (0, [], 0)
     assert answer["instead"]
-    text = text_of(capsys, *argv)
+    text = nothing.text("elephant")
     assert text.startswith("No match for 'elephant'. The best place has a cosine of ")
     assert f"below the threshold of 0.60. Words that match here: {', '.join(answer['instead'])}." in text
     for word in answer["instead"]:
-        assert answer_of(capsys, *argv[:2], word, *argv[3:])["instead"] == []
+        assert nothing(word)["instead"] == []
 
 
-def test_specks_can_be_left_out_or_kept(room, capsys):
-    argv = ["locate", room / "room.field", "mug", "--scene", room / "scene.ply", "--min-gaussians"]
-    larger, smaller = (t["num_gaussians"] for t in answer_of(capsys, *argv, 40)["matches"])
-    only_one = answer_of(capsys, *argv, max(larger, smaller))["matches"]
-    assert [thing["num_gaussians"] for thing in only_one] == [max(larger, smaller)]
-    assert larger != smaller
-
-
-def test_query_by_vector_equals_query_in_words(room, tmp_path, capsys):
-    write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
-    by_vector = answer_of(capsys, "locate", room / "room.field", "--vector", tmp_path / "q.npy", "--threshold", 0.6)
-    in_words = answer_of(capsys, "locate", room / "room.field", "ball")
-    assert by_vector["num_selected"] == in_words["num_selected"] > 0
-    assert by_vector["score_range"] == in_words["score_range"]
-    default = answer_of(capsys, "locate", room / "room.field", "--vector", tmp_path / "q.npy")
-    assert default["threshold_rule"] == "auto"
-    assert default["num_selected"] == pytest.approx(in_words["num_selected"], rel=0.2)
-    assert by_vector["matches"] is None
-
-
-def test_query_by_relevancy(room, tmp_path, capsys):
+def test_query_by_relevancy(room, tmp_path, locate):
     field = load_field(room / "room.field")
     encoder = WordEncoder()
     negatives = encoder.encode_texts(["object", "things", "stuff", "texture"])
     expected = field.relevancy(encoder.encode_texts(["ball"])[0], negatives)
-    answer = answer_of(capsys, "locate", room / "room.field", "ball", "--relevancy")
+    answer = locate("ball", "--relevancy")
     assert (answer["measure"], answer["threshold"]) == ("relevancy", 0.5)
     assert_allclose(answer["score_range"], [expected.min(), expected.max()], rtol=1e-6)
     assert answer["num_selected"] == (expected > 0.5).sum()
     write_npy(tmp_path / "n.npy", negatives)
-    same = answer_of(capsys, "locate", room / "room.field", "ball", "--negatives", tmp_path / "n.npy")
+    same = locate("ball", "--negatives", tmp_path / "n.npy")
     assert same["score_range"] == answer["score_range"]
-    other = answer_of(capsys, "locate", room / "room.field", "ball", "--negatives", "orange, floor")
+    other = locate("ball", "--negatives", "orange, floor")
     assert other["score_range"][1] < answer["score_range"][1]
 
 
-def test_query_needs_the_right_encoder(room, story, tmp_path, capsys):
+def test_query_needs_the_right_encoder(room, story, tmp_path, capsys, locate):
     output, codebook = tmp_path / "clip.field", tmp_path / "clip.safetensors"
     encoder = EncoderIdentity("ViT-B-16/any", 512)
     save_codebook(replace(story.field.codebook, encoder=encoder), codebook)
@@ -420,7 +409,7 @@ def test_query_needs_the_right_encoder(room, story, tmp_path, capsys):
     argv = ["locate", output, "red mug", "--vocabulary", vocabulary]
     answer = answer_of(capsys, *argv)
     assert (answer["threshold_rule"], answer["measure"]) == ("list", "relevancy")
-    alone = answer_of(capsys, "locate", room / "room.field", "red mug")
+    alone = locate("red mug")
     assert answer["num_selected"] >= alone["num_selected"] > 0
     assert answer_of(capsys, *argv, "--relevancy")["num_selected"] > 0
     assert main(["locate", str(output), "blue mug", "--vocabulary", str(vocabulary)]) == 1
@@ -433,31 +422,30 @@ def test_query_needs_the_right_encoder(room, story, tmp_path, capsys):
     assert "its vectors have 2 numbers, those of this field 512" in message
 
 
-def test_query_refuses_before_it_works(room, tmp_path, capsys):
-    field, scene = room / "room.field", room / "scene.ply"
-    assert "--vector" in error_of(capsys, "locate", field)
-    assert "--scene" in error_of(capsys, "locate", field, "mug", "--save", tmp_path / "x.ply")
-    assert "--views" in error_of(capsys, "locate", field, "mug", "--scene", scene, "--picture", tmp_path / "x.png")
-    assert "--overwrite" in error_of(capsys, "locate", field, "mug", "--scene", scene, "--save", scene)
+def test_query_refuses_before_it_works(room, tmp_path, capsys, locate):
+    scene = room / "scene.ply"
+    assert "--vector" in locate.error()
+    assert "--scene" in locate.error("mug", "--save", tmp_path / "x.ply")
+    assert "--views" in locate.error("mug", "--scene", scene, "--picture", tmp_path / "x.png")
+    assert "--overwrite" in locate.error("mug", "--scene", scene, "--save", scene)
     nowhere = tmp_path / "nowhere" / "x.ply"
     message = error_of(capsys, "locate", tmp_path / "no.field", "mug", "--scene", scene, "--save", nowhere)
     assert "there is no folder" in message  # said before the field is looked for
     write_npy(tmp_path / "short.npy", np.ones(3, np.float32))
-    assert "512" in error_of(capsys, "locate", field, "--vector", tmp_path / "short.npy")
+    assert "512" in locate.error("--vector", tmp_path / "short.npy")
     for number in (1e300, np.inf, np.uint64(0x7FF0000000000001).view(np.float64)):
         np.save(tmp_path / "odd.npy", np.append(np.ones(511), number))
-        message = error_of(capsys, "locate", field, "--vector", tmp_path / "odd.npy")
+        message = locate.error("--vector", tmp_path / "odd.npy")
         assert "must be finite and not zero" in message  # without NumPy's own warnings
     other = tmp_path / "other.ply"
     write_gaussians(other, read_gaussians(scene).subset(np.arange(100)))
-    answer = answer_of(capsys, "locate", field, "mug", "--scene", other, code=1)
+    answer = locate("mug", "--scene", other, code=1)
     assert answer["kind"] == "MismatchError"
 
 
-def test_query_writes_columns_and_a_picture(room, story, tmp_path, capsys):
+def test_query_writes_columns_and_a_picture(room, story, tmp_path, locate):
     out, picture = tmp_path / "mugs.ply", tmp_path / "mugs.png"
-    answer = answer_of(
-        capsys, "locate", room / "room.field", "mug", "--scene", room / "scene.ply", "--save", out,
+    answer = locate("mug", "--scene", room / "scene.ply", "--save", out,
         "--picture", picture, "--views", room,
     )  # fmt: skip
     saved = read_gaussians(out)
@@ -520,9 +508,8 @@ def test_demo_verb_tells_its_story(household_story, tmp_path, capsys, monkeypatc
 
 
 def test_the_demo_makes_a_page_that_answers_and_names_commands_that_run_without_extras(
-    household_story, household_folder, tmp_path, capsys,
-    monkeypatch,
-):  # fmt: skip
+    household_story, household_folder, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr("drsplat.evaluation.demo.story.tell", lambda *_args, **_options: household_story)
     monkeypatch.setattr("drsplat.evaluation.demo.story.write_album", lambda *_args, **_options: [tmp_path] * 17)
     for extra in ("fastapi", "uvicorn", "prometheus_client", "usd", "mcp", "msgspec"):
@@ -559,9 +546,3 @@ def test_progress_shows_after_a_while(capsys, monkeypatch):
     assert "counting" in err
     assert list(track([1, 2, 3], "counting", quiet=True)) == [1, 2, 3]
     assert capsys.readouterr().err == ""
-
-
-def test_python_dash_m_runs_it():
-    command = [sys.executable, "-m", "drsplat", "--version"]
-    result = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ})
-    assert result.stdout.startswith("drsplat ")

@@ -520,12 +520,3 @@ def test_a_scene_without_a_field_is_seen_outlined_and_edited_but_not_asked(tmp_p
         assert (viewer.arrays("/view/splats")["opacity"] > 0).sum() >= seen
         assert "Nothing with a feature" in viewer.do("click", origin=[0, 0, -9], direction=[0, 0, 1])["message"]
         assert viewer.do("restore")["edits"][0]["done"] is False
-
-
-def test_two_pages_see_and_change_the_same_session(viewer):
-    """Each request is a page of its own; all show what the last one did."""
-    one = viewer.do("ask", text="red mug")
-    other = viewer.state()
-    assert other == one
-    viewer.do("mode", mode="heat map")
-    assert viewer.state()["mode"] == "heat map"

@@ -95,13 +95,6 @@ def test_edits_of_two_pages_are_both_done_one_after_the_other(viewer, editing):
     assert viewer.do("undo")["edits"][1]["done"] is False
 
 
-def test_an_edit_that_is_refused_leaves_what_was_done_meanwhile(viewer):
-    viewer.do("ask", text="red mug")
-    viewer.do("edit", change="remove")
-    assert "nothing is selected" in viewer.refused("edit", change="remove")
-    assert len(viewer.state()["edits"]) == 1
-
-
 def test_a_film_is_drawn_of_what_was_shown_when_it_was_asked_for(viewer, monkeypatch):
     gate, drawn = Gate(), list[tuple[str, int]]()
 

@@ -311,23 +311,6 @@ def test_services_ask_of_a_span():
         assert (talk.where_is("red car", during=during).best is not None) == bool(found)
 
 
-def test_language_models_ask_when():
-    pytest.importorskip("pydantic")
-    from drsplat.fronts.serving.conversation import Conversation, When
-    from drsplat.fronts.serving.conversation import tool_answer as answered
-    from drsplat.fronts.serving.limits import Limits
-    from drsplat.fronts.serving.query_fields import Tool
-
-    told = Conversation(played(), "film").when("red car", "left_of", "white vase", "cam0/00")
-    assert np.allclose(told.spans, [(0, 0.4)])
-    assert told.times == [0, 1]
-    assert not told.advice
-    with refused("give view=NAME"):
-        Conversation(played(), "film").when("red car", "left_of", "white vase")
-    asked = {"one": "red car", "relation": "next_to", "other": "white vase"}
-    assert isinstance(answered(played(), Tool(tool="when", name="film", arguments=asked), Limits()), When)
-
-
 def test_classes_of_a_span():
     scene = named("red car", "green apple")
     for during, best in (((0.0, 0.4), 0), ((0.6, 1.0), 1)):

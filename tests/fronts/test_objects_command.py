@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from command_line import answer_of, error_of, text_of
+from command_line import Capture, Line, answer_of, error_of
 from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
 from drsplat.drawing.cards import (
     GAP_PIXELS,
@@ -49,12 +49,13 @@ def room(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def asked(room: Path, *more: object) -> tuple[object, ...]:
-    return ("objects", room / "a.field", "--scene", room / "scene.ply", *more)
+@pytest.fixture
+def listed(room: Path, capsys: Capture) -> Line:
+    return Line(capsys, "objects", room / "a.field", "--scene", room / "scene.ply")
 
 
-def test_the_list(room, capsys):
-    told = answer_of(capsys, *asked(room))
+def test_the_list(listed):
+    told = listed()
     assert told["num_objects"] == 3
     assert told["num_in_objects"] == 3 * EACH - 10
     assert [one["id"] for one in told["objects"]] == [0, 1, 2]
@@ -69,21 +70,21 @@ def test_the_list(room, capsys):
     assert told["objects"][0]["mass"] == pytest.approx(EACH, rel=1e-4)
 
 
-def test_the_list_needs_no_scene_once_it_is_kept(room, capsys):
-    alone, with_scene = answer_of(capsys, "objects", room / "a.field"), answer_of(capsys, *asked(room))
+def test_the_list_needs_no_scene_once_it_is_kept(room, capsys, listed):
+    alone, with_scene = answer_of(capsys, "objects", room / "a.field"), listed()
     assert [one.pop("surface") for one in alone["objects"]] == [None] * 3  # which takes the Gaussians
     assert [one.pop("surface") for one in with_scene["objects"]] == [False] * 3
     assert alone == with_scene
 
 
-def test_surfaces_and_what_few_photos_see_are_told(room, capsys, monkeypatch):
-    assert [one["few_photos"] for one in answer_of(capsys, *asked(room))["objects"]] == [True] * 3  # all see three
+def test_surfaces_and_what_few_photos_see_are_told(monkeypatch, listed):
+    assert [one["few_photos"] for one in listed()["objects"]] == [True] * 3  # all see three
     monkeypatch.setattr("drsplat.query.documents.FEW_PHOTOS", 2)
     monkeypatch.setattr("drsplat.field.objects.surfaces.MIN_SIDE_AROUND", 0.01)
-    told = answer_of(capsys, *asked(room))["objects"]
+    told = listed()["objects"]
     assert [(one["few_photos"], one["surface"]) for one in told] == [(False, True)] * 3
-    answer_of(capsys, *asked(room, "--label", "red, mug", "--id", 1))
-    text = text_of(capsys, *asked(room))
+    listed("--label", "red, mug", "--id", 1)
+    text = listed.text()
     assert "red, mug, surface" in text
     assert "few photos" not in text
 
@@ -94,53 +95,53 @@ def test_inspect_counts_them(room, capsys):
     assert answer_of(capsys, "inspect", room / "b.field")["num_objects"] is None
 
 
-def test_the_table(room, capsys):
-    text = text_of(capsys, *asked(room))
+def test_the_table(listed):
+    text = listed.text()
     assert text.startswith("3 objects, 1,490 of 1,490 registered Gaussians in them")
     assert "0.80" in text
 
 
-def test_the_table_has_the_first_and_counts_the_rest(room, capsys, monkeypatch):
+def test_the_table_has_the_first_and_counts_the_rest(monkeypatch, listed):
     """A real capture has hundreds of objects, of which the last are crumbs."""
     monkeypatch.setattr(objects_command, "MAX_ROWS_SHOWN", 2)
-    text = text_of(capsys, *asked(room))
+    text = listed.text()
     assert [line.split()[0] for line in text.splitlines() if line.strip()[:1].isdigit()][1:] == ["0", "1"]
     assert "and 1 with less mass: --json, or --save OUT.csv, has all" in text
 
 
-def test_ids_of_every_gaussian(room, capsys):
-    answer_of(capsys, *asked(room, "--save", room / "ids.npy"))
+def test_ids_of_every_gaussian(room, listed):
+    listed("--save", room / "ids.npy")
     ids = np.load(room / "ids.npy")
     assert ids.dtype == np.int32
     assert_array_equal(ids, [*np.repeat([0, 1, 2], [EACH, EACH, EACH - 10]), *[-1] * 10])
 
 
-def test_a_scene_with_a_column(room, capsys):
-    answer_of(capsys, *asked(room, "--save", room / "objects.ply"))
+def test_a_scene_with_a_column(room, listed):
+    listed("--save", room / "objects.ply")
     saved = read_gaussians(room / "objects.ply")
     assert saved.fingerprint == read_gaussians(room / "scene.ply").fingerprint
     assert_array_equal(saved.extra["object_id"], open_scene(room / "a.field").object_ids())
 
 
-def test_a_folder_of_objects(room, capsys):
-    told = answer_of(capsys, *asked(room, "--save", room / "cut"))
+def test_a_folder_of_objects(room, listed):
+    told = listed("--save", room / "cut")
     assert sorted(path.name for path in (room / "cut").iterdir()) == [
         "object_0000.ply", "object_0001.ply", "object_0002.ply", "objects.json",
     ]  # fmt: skip
     assert len(read_gaussians(room / "cut/object_0002.ply")) == EACH - 10
     assert json.loads((room / "cut/objects.json").read_text())["objects"] == told["objects"]
-    assert "exists already" in error_of(capsys, *asked(room, "--save", room / "cut"))
-    answer_of(capsys, *asked(room, "--save", room / "cut", "--overwrite"))
+    assert "exists already" in listed.error("--save", room / "cut")
+    listed("--save", room / "cut", "--overwrite")
     (room / "mine").mkdir()
-    assert "not ours to replace" in error_of(capsys, *asked(room, "--save", room / "mine", "--overwrite"))
+    assert "not ours to replace" in listed.error("--save", room / "mine", "--overwrite")
 
 
-def test_tables(room, capsys):
-    told = answer_of(capsys, *asked(room, "--save", room / "o.json"))
+def test_tables(room, listed):
+    told = listed("--save", room / "o.json")
     document = json.loads((room / "o.json").read_text())
     assert document["objects"] == told["objects"]
     assert document["field"] == load_field(room / "a.field").fingerprint
-    answer_of(capsys, *asked(room, "--save", room / "o.csv", "--label", 'a "red", mug', "--id", 1))
+    listed("--save", room / "o.csv", "--label", 'a "red", mug', "--id", 1)
     with open(room / "o.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["label"] for row in rows] == ["", 'a "red", mug', ""]
@@ -150,22 +151,22 @@ def test_tables(room, capsys):
 
 
 @pytest.mark.parametrize("label", ["=1+1", "+1", "-1", "@SUM(1)", '=HYPERLINK("http://evil.example","mug")'])
-def test_tables_hold_no_formulas(room, capsys, label):
-    answer_of(capsys, *asked(room, "--save", room / "o.csv", f"--label={label}", "--id", 1))
+def test_tables_hold_no_formulas(room, label, listed):
+    listed("--save", room / "o.csv", f"--label={label}", "--id", 1)
     with open(room / "o.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["label"] for row in rows] == ["", f"'{label}", ""]
     assert any(row["center_1"].startswith("-") for row in rows)  # numbers stay numbers
     assert float(rows[0]["center_0"]) == pytest.approx(0, abs=0.2)
-    answer_of(capsys, *asked(room, "--save", room / "o.json"))
+    listed("--save", room / "o.json")
     assert json.loads((room / "o.json").read_text())["objects"][1]["label"] == label
 
 
 PHOTO, GHOST = (90, 140, 200), 232  # of a photo of one colour: its pale grey is 255 - 0.16 * (255 - luma)
 
 
-def test_the_sheet_shows_each_object_on_its_pale_surroundings(room, capsys):
-    answer_of(capsys, *asked(room, "--views", room / "capture", "--picture", room / "sheet.png"))
+def test_the_sheet_shows_each_object_on_its_pale_surroundings(room, listed):
+    listed("--views", room / "capture", "--picture", room / "sheet.png")
     sheet = np.asarray(Image.open(room / "sheet.png").convert("RGB"))
     left, top = (
         MARGIN_PIXELS + 1,
@@ -198,9 +199,9 @@ def test_the_sheet_shows_each_object_on_its_pale_surroundings(room, capsys):
         (("--label", "  ", "--id", "1"), "expected a text"),
     ],
 )
-def test_bad_input(more, said, room, capsys, monkeypatch):
+def test_bad_input(more, said, room, monkeypatch, listed):
     monkeypatch.chdir(room)
-    assert said in error_of(capsys, *asked(room, *more))
+    assert said in listed.error(*more)
     assert not list(room.glob("x.*"))
 
 
@@ -211,7 +212,7 @@ def test_a_field_without_objects_needs_the_scene(room, capsys):
         _ = open_scene(room / "b.field").objects
 
 
-def test_they_are_found_once_and_kept(room, capsys, monkeypatch):
+def test_they_are_found_once_and_kept(room, capsys, monkeypatch, listed):
     load_field(room / "a.field").with_objects(None).save(room / "b.field")
     calls = []
 
@@ -222,30 +223,30 @@ def test_they_are_found_once_and_kept(room, capsys, monkeypatch):
     found = ModuleType("drsplat.field.objects.finding")
     found.find_objects = find_objects
     monkeypatch.setitem(sys.modules, "drsplat.field.objects.finding", found)
-    argv = ("objects", room / "b.field", "--scene", room / "scene.ply", "--threads", 1)
-    told = answer_of(capsys, *argv)
-    assert told["objects"] == answer_of(capsys, *asked(room))["objects"]
-    assert answer_of(capsys, *argv)["objects"] == told["objects"]
+    again = Line(capsys, "objects", room / "b.field", "--scene", room / "scene.ply", "--threads", 1)
+    told = again()
+    assert told["objects"] == listed()["objects"]
+    assert again()["objects"] == told["objects"]
     assert calls == [1]
-    answer_of(capsys, *argv, "--again")
+    again("--again")
     assert calls == [1, 1]
     assert load_field(room / "b.field").fingerprint == load_field(room / "a.field").fingerprint
 
 
 def test_nothing_belongs_together(room, capsys):
     field = load_field(room / "a.field")
-    none = {name: array[:0] for name, array in field.objects.tensors().items()}
-    none |= {"node_of": np.full(len(field), -1, np.int32)}
-    none |= {name: np.zeros(1, np.int64) for name in ("mask_starts", "descriptor_starts")}
-    field.with_objects(type(field.objects)(**none)).save(room / "b.field")
-    argv = ("objects", room / "b.field", "--scene", room / "scene.ply")
-    told = answer_of(capsys, *argv, "--save", room / "ids.npy")
+    empty = {name: array[:0] for name, array in field.objects.tensors().items()}
+    empty |= {"node_of": np.full(len(field), -1, np.int32)}
+    empty |= {name: np.zeros(1, np.int64) for name in ("mask_starts", "descriptor_starts")}
+    field.with_objects(type(field.objects)(**empty)).save(room / "b.field")
+    none = Line(capsys, "objects", room / "b.field", "--scene", room / "scene.ply")
+    told = none("--save", room / "ids.npy")
     assert told["num_objects"] == 0
     assert told["objects"] == []
     assert (np.load(room / "ids.npy") == -1).all()
-    assert text_of(capsys, *argv).startswith("0 objects, 0 of 1,490")
-    assert "this field has none" in error_of(capsys, *argv, "--label", "mug", "--id", 0)
-    assert "no object" in error_of(capsys, *argv, "--views", room / "capture", "--picture", room / "a.png")
+    assert none.text().startswith("0 objects, 0 of 1,490")
+    assert "this field has none" in none.error("--label", "mug", "--id", 0)
+    assert "no object" in none.error("--views", room / "capture", "--picture", room / "a.png")
 
 
 def test_what_is_at_a_place(room):

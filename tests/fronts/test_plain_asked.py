@@ -203,27 +203,6 @@ def argv_of(room: Path, verb: str, *more: object) -> list[object]:
     return [*words, "--threshold", "0.4", *more]
 
 
-def test_selections_matches_and_classes(room, capsys):
-    for never, count in (((), 2 * PER_THING), (NEVER, PER_THING)):
-        assert answer_of(capsys, *argv_of(room, "select", *never))["num_selected"] == count
-        (match,) = answer_of(capsys, *argv_of(room, "locate", *never))["matches"]
-        assert match["num_gaussians"] == count
-        assert answer_of(capsys, *argv_of(room, "segment", *never))["num_labelled"] == count
-
-
-def test_a_click(room, capsys):
-    seen = ("--scene", room / "scene.ply", "--views", room / "capture", "--click", "photo_0.png:36,38")
-    whole = answer_of(capsys, "select", room / "room.field", *seen)
-    assert (whole["threshold_rule"], whole["num_selected"]) == ("object", 2 * PER_THING)
-    load_field(room / "room.field").with_objects(None).save(room / "plain.field", overwrite=True)
-    alike, plain = (
-        answer_of(capsys, "select", *argv)
-        for argv in ((room / "room.field", *seen, *NEVER), (room / "plain.field", *seen))
-    )
-    assert alike | {"field": plain["field"]} == plain
-    assert alike["threshold_rule"] == "auto"
-
-
 def test_edits_and_renderings(room, tmp_path, capsys):
     for never, count in (((), 2 * PER_THING), (NEVER, PER_THING)):
         argv = argv_of(room, "edit", *never, "--isolate", "--save", tmp_path / "out.ply", "--overwrite")
@@ -231,16 +210,6 @@ def test_edits_and_renderings(room, tmp_path, capsys):
         assert len(read_gaussians(tmp_path / "out.ply")) == count
         drawn = ("--views", room / "capture", "--view", "photo_0.png", "-o", tmp_path / "drawn", "--overwrite")
         assert answer_of(capsys, *argv_of(room, "render", *never, *drawn))["num_selected"] == count
-
-
-def test_a_file_of_options_may_say_it(room, tmp_path, capsys):
-    config = tmp_path / "options.toml"
-    config.write_text('objects = "never"\n')
-    argv = argv_of(room, "select", "--config", config)
-    assert answer_of(capsys, *argv)["num_selected"] == PER_THING
-    assert answer_of(capsys, *argv, "--objects", "auto")["num_selected"] == 2 * PER_THING
-    config.write_text('[select]\nobjects = "nevr"\n')
-    assert "options.toml: objects: expected auto or never" in error_of(capsys, *argv)
 
 
 @pytest.mark.parametrize("verb", ["select", "locate", "segment", "edit", "render", "when"])

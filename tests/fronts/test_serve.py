@@ -23,10 +23,10 @@ import pytest
 from PIL import Image
 
 from command_line import error_of
-from drsplat import LanguageField, MiniEncoder, load_field
+from drsplat import LanguageField, load_field
 from drsplat.evaluation.demo import story as household
 from drsplat.field.codes import PQCode
-from drsplat.query import Query, open_scene
+from drsplat.query import open_scene
 from processes import children_of
 
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
@@ -58,6 +58,9 @@ class Service:
 
     def __call__(self, method: str, path: str, **given: Any) -> Any:
         return self.all([(method, path, given)])[0]
+
+    def post(self, act: str, asked: Any = VASE, scene: str = "room") -> Any:
+        return self("POST", f"/scenes/{scene}/{act}", json=asked)
 
     def all(self, calls: list[tuple[str, str, dict[str, Any]]]) -> list[Any]:
         """Several at once."""
@@ -113,53 +116,20 @@ def test_scenes_are_listed_without_opening_them(service):
     assert told(service("GET", "/health")) == {"status": "ok", "num_scenes": 3}
 
 
-def test_answers_are_those_of_the_library(service, folder):
-    scene = open_scene(folder / "room")
-    vector = MiniEncoder().encode_texts(["red vase"])[0]
-    asked = scene.ask(Query(text="red vase"))
-    given = {"text": "red vase", "ids": True}
-    answer = told(service("POST", "/scenes/room/select", json=given))
-    assert answer["gaussian_ids"] == asked.gaussian_ids.tolist()
-    assert answer["measured"]["threshold"] == pytest.approx(asked.threshold)
-    by_vector = {"vector": vector.tolist(), "threshold": 0.3, "ids": True}
-    same = told(service("POST", "/scenes/room/select", json=by_vector))
-    assert same["gaussian_ids"] == scene.ask(Query(vector=vector, threshold=0.3)).gaussian_ids.tolist()
-    assert same["gaussian_ids"]
-    located = told(service("POST", "/scenes/room/locate", json={"text": "something to eat", "top": 2}))
-    found = scene.locate("something to eat")
-    assert (located["num_matches"], len(located["matches"])) == (len(found), 2)
-    np.testing.assert_allclose(located["matches"][0]["center"], found[0].center, atol=1e-4)
-    support = located["matches"][0]["support"][0]
-    assert support["view"] == found[0].support[0].view_name
+def test_an_answer_has_ids_and_a_photo(service, folder):
+    """What is asked and answered otherwise is in `test_fronts.py`."""
+    asked = open_scene(folder / "room").ask("red vase")
+    assert told(service.post("select", VASE | {"ids": True}))["gaussian_ids"] == asked.gaussian_ids.tolist()
+    support = told(service.post("locate"))["matches"][0]["support"][0]
     photo = service("GET", "/scenes/room/photo", params={"view": support["view"], "max_side": 200})
     with Image.open(io.BytesIO(photo.content)) as picture:
         assert (picture.format, max(picture.size)) == ("PNG", 200)
 
 
-def test_points_clicks_images_and_classes(service, folder):
-    scene = open_scene(folder / "room")
-    vase = scene.locate("red vase")[0]
-    point = [float(x) for x in vase.center]
-    words = told(service("POST", "/scenes/room/what-is", json={"point": point}))
+def test_what_is_at_a_point(service, folder):
+    vase = open_scene(folder / "room").locate("red vase")[0]
+    words = told(service.post("what-is", {"point": vase.center.tolist()}))
     assert words["words"][0]["name"] == "red vase"
-    found = told(service("POST", "/scenes/room/locate", json={"point": point}))
-    assert found["measured"]["threshold_rule"] == "object"
-    assert found["matches"][0]["num_gaussians"] == len(scene.objects[vase.object_id])
-    assert np.linalg.norm(np.array(found["matches"][0]["center"]) - vase.center) < 0.1
-    view = scene.best_view(vase.gaussian_ids)
-    seen = view.K @ (view.cam_from_world @ np.append(vase.center, 1))[:3]
-    click = {"view": view.name, "x": seen[0] / seen[2], "y": seen[1] / seen[2]}
-    clicked = told(service("POST", "/scenes/room/select", json={"click": click}))
-    assert clicked["score_range"][1] == pytest.approx(1, abs=1e-3)
-    image = {"image": encoded(Image.new("RGB", (40, 40), "red"))}
-    assert told(service("POST", "/scenes/room/select", json=image))["measured"]["measure"] == "cosine"
-    classes = {"classes": ["red vase", "laptop", "orange sofa"], "labels": True}
-    segmented = told(service("POST", "/scenes/room/segment", json=classes))
-    counts = [one["num_gaussians"] for one in segmented["classes"]]
-    labels = np.array(segmented["labels"])
-    assert counts == [int((labels == number).sum()) for number in range(3)]
-    assert counts[1] == 0
-    assert min(counts[0], counts[2]) > 500
 
 
 def encoded(image: Image.Image) -> str:
@@ -170,7 +140,7 @@ def encoded(image: Image.Image) -> str:
 
 def test_pictures(service):
     for given in ({}, {"text": "red vase"}, {"text": "laptop"}, {"photo": True, "view": "frame_00003"}):
-        answer = service("POST", "/scenes/room/picture", json={**given, "max_side": 160})
+        answer = service.post("picture", {**given, "max_side": 160})
         assert answer.headers["content-type"] == "image/png"
         with Image.open(io.BytesIO(answer.content)) as picture:
             colour = np.ptp(np.asarray(picture.convert("RGB"), int), axis=-1).max()
@@ -255,7 +225,7 @@ WRONG: list[tuple[str, Any, str]] = [
 
 @pytest.mark.parametrize(("route", "given", "said"), WRONG)
 def test_what_makes_no_sense_gets_a_reason(route, given, said, service, folder):
-    text = reason(service("POST", f"/scenes/room/{route}", json=given), 422)
+    text = reason(service.post(route, given), 422)
     assert said.lower() in text.lower()
     assert str(folder) not in text
 
@@ -296,31 +266,31 @@ def test_a_body_that_is_not_said_to_be_json_is_told_how(kind, service):
 
 
 def test_a_damaged_scene_says_so_and_others_still_answer(service, folder):
-    text = reason(service("POST", "/scenes/damaged/select", json={"text": "mug"}), 503)
+    text = reason(service.post("select", scene="damaged"), 503)
     assert "cannot be opened" in text
     assert str(folder) not in text
-    assert service("POST", "/scenes/room/select", json={"text": "vase"}).status_code == 200
+    assert service.post("select", {"text": "vase"}).status_code == 200
 
 
 def test_a_text_without_a_match_is_told_how_near_it_came(service):
-    advice = service("POST", "/scenes/room/locate", json={"text": "laptop"}).json()["advice"]
+    advice = service.post("locate", {"text": "laptop"}).json()["advice"]
     assert advice.startswith("no match: The best place has a ")
     assert "Words that match here: " in advice
-    assert service("POST", "/scenes/room/locate", json={"text": "mug"}).json().get("advice", "") == ""
+    assert service.post("locate", {"text": "mug"}).json().get("advice", "") == ""
 
 
 def test_unknown_routes_and_methods(service):
     assert "nothing at '/nothing': GET /openapi.json" in reason(service("GET", "/nothing"), 404)
     reason(service("DELETE", "/scenes"), 405)
     assert reason(service("GET", "/scenes/room/select"), 405) == "expected POST here, got GET"
-    unknown = reason(service("POST", "/scenes/room/select", json={"text": "mug", "txt": "mug"}), 422)
+    unknown = reason(service.post("select", {"text": "mug", "txt": "mug"}), 422)
     assert unknown == "body: there is no such field: txt. Did you mean 'text'?"
 
 
 def test_bodies_and_pictures_are_bounded(folder):
     small = Service(folder, limits=Limits(body_bytes=2000, pixels=1000))
     long = {"text": "mug", "exclude": ["red"] * 1000}
-    assert "2,000 bytes" in reason(small("POST", "/scenes/room/select", json=long), 413)
+    assert "2,000 bytes" in reason(small.post("select", long), 413)
 
     async def chunks() -> Any:
         for _ in range(10):
@@ -329,7 +299,7 @@ def test_bodies_and_pictures_are_bounded(folder):
     told_nothing = small("POST", "/scenes/room/select", content=chunks())
     assert "2,000 bytes" in reason(told_nothing, 413)
     large = {"image": encoded(Image.new("1", (40, 40)))}
-    assert "at most 1,000" in reason(small("POST", "/scenes/room/select", json=large), 422)
+    assert "at most 1,000" in reason(small.post("select", large), 422)
 
 
 def test_who_has_no_key_is_told(folder):
@@ -366,7 +336,7 @@ def test_too_slow_and_too_many(folder):
     """A stopped process is one that never has done: it is ended, and its place is free for others."""
     busy = Service(folder, limits=Limits(seconds=3.0, workers=1, waiting=2))
     with closing(busy):
-        wait_for(lambda: busy("POST", "/scenes/room/select", json=VASE).status_code == 200)
+        wait_for(lambda: busy.post("select").status_code == 200)
         (stuck,) = processes_of(busy)
         os.kill(stuck, signal.SIGSTOP)
         calls = [("POST", "/scenes/room/select", {"json": VASE})] * 8
@@ -377,7 +347,7 @@ def test_too_slow_and_too_many(folder):
         assert kinds.count("timeout") == 3
         assert all(answer.headers["retry-after"] == "1" for answer in refused[:8])
         wait_for(lambda: not Path(f"/proc/{stuck}").exists())
-        wait_for(lambda: busy("POST", "/scenes/room/select", json=VASE).status_code == 200)
+        wait_for(lambda: busy.post("select").status_code == 200)
 
 
 def copied(scene: Path, to: Path) -> Path:
@@ -440,16 +410,16 @@ def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(folder, tmp_path,
     (tmp_path / "room").symlink_to(folder / "room")
     with closing(Service(tmp_path, limits=Limits(workers=1))) as service:
         monkeypatch.setattr(workbench, "_process", dying)
-        assert "SIGBUS" in reason(service("POST", "/scenes/room/select", json=VASE), 503)
+        assert "SIGBUS" in reason(service.post("select"), 503)
         monkeypatch.setattr(workbench, "_process", started)
-        told(service("POST", "/scenes/room/select", json=VASE))
+        told(service.post("select"))
 
 
 def test_a_killed_process_that_was_idle_costs_nothing(service):
-    told(service("POST", "/scenes/room/select", json=VASE))
+    told(service.post("select"))
     for process in processes_of(service):
         os.kill(process, signal.SIGKILL)
-    told(service("POST", "/scenes/room/select", json=VASE))
+    told(service.post("select"))
 
 
 @pytest.mark.slow
@@ -463,7 +433,7 @@ def test_no_exception_of_a_request_ends_a_process(fault, folder, monkeypatch, ca
         told(service("GET", "/scenes"))
         (process,) = children_of(os.getpid(), b"worker.answered")
         for _ in range(2):
-            assert "fault of the service" in reason(service("POST", "/scenes/room/select", json=VASE), 500)
+            assert "fault of the service" in reason(service.post("select"), 500)
         assert children_of(os.getpid(), b"worker.answered") == [process]
     logged = capfd.readouterr().err
     assert "Traceback" in logged
@@ -487,10 +457,10 @@ def test_odd_names_and_pipes_do_not_break_the_list(folder, tmp_path):
         assert set(listed) == {"good", "pipe", "b\\xffd\x1b[2J", "half", "huge"}
         assert "pipe" in listed["pipe"]["fault"]
         assert listed["huge"]["num_registered"] == 0
-        assert "cannot be opened" in reason(service("POST", "/scenes/pipe/select", json=VASE), 503)
-        assert "can be written" in reason(service("POST", "/scenes/half/select", json=VASE), 503)
+        assert "cannot be opened" in reason(service.post("select", scene="pipe"), 503)
+        assert "can be written" in reason(service.post("select", scene="half"), 503)
         told(service("POST", "/scenes/b%5Cxffd%1B%5B2J/select", json=VASE))
-        told(service("POST", "/scenes/good/select", json=VASE))
+        told(service.post("select", scene="good"))
 
 
 @pytest.mark.slow
@@ -499,7 +469,7 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(folder, tmp_path, monkeypa
     secret.parent.mkdir()
     secret.write_text("{")
     with closing(Service(folder, sources=Sources(vocabulary=str(secret)))) as service:
-        text = reason(service("POST", "/scenes/room/select", json=VASE), 422)
+        text = reason(service.post("select"), 422)
         assert "secret" not in text
         assert "words.json: expected JSON" in text
     for root, name in ((folder / "room", "."), (folder, ".")):
@@ -508,7 +478,7 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(folder, tmp_path, monkeypa
         scene = "room" if root == folder else scene
         with closing(Service(Path(name))) as service:
             click = {"click": {"view": "no.view", "x": 1, "y": 1}}
-            text = reason(service("POST", f"/scenes/{scene}/select", json=click), 422)
+            text = reason(service.post("select", click, scene), 422)
             assert "'no.view'" in text
             assert "'frame_00001.jpg'" in text
 
@@ -519,7 +489,7 @@ def test_a_model_that_is_not_there_is_refused_without_its_path(folder, tmp_path)
         pytest.importorskip(library)
     away = str(tmp_path / "secret" / "model")
     with closing(Service(folder, sources=Sources(encoder=away))) as service:
-        text = reason(service("POST", "/scenes/room/select", json=VASE), 422)
+        text = reason(service.post("select"), 422)
         assert "secret" not in text
         assert "model: " in text
 
@@ -553,8 +523,8 @@ def test_few_large_bodies_at_once(folder):
     limits = Limits(large_bodies=0, body_bytes=1 << 20)
     with closing(Service(folder, limits=limits)) as busy:
         large = {"vector": [0.123456789] * 8000}
-        assert "come again" in reason(busy("POST", "/scenes/room/select", json=large), 503)
-        told(busy("POST", "/scenes/room/select", json=VASE))
+        assert "come again" in reason(busy.post("select", large), 503)
+        told(busy.post("select"))
 
 
 def test_what_cannot_be_served_is_said_at_the_start(folder, tmp_path, capsys):
@@ -578,8 +548,8 @@ def test_a_port_that_is_taken_is_told_before_an_address_is(folder, capsys):
 @pytest.mark.slow
 def test_metrics_count(folder):
     counted = Service(folder)
-    told(counted("POST", "/scenes/room/select", json={"text": "vase"}))
-    reason(counted("POST", "/scenes/room/select", json={}), 422)
+    told(counted.post("select", {"text": "vase"}))
+    reason(counted.post("select", {}), 422)
     reason(counted("GET", "/unheard-of"), 404)
     lines = counted("GET", "/metrics").text.splitlines()
     route = 'route="/scenes/{scene}/select"'
@@ -598,7 +568,7 @@ def test_the_description_has_examples_and_refusals(service):
             assert "422" in method["responses"], path
     examples = described["components"]["schemas"]["Locate"]["examples"]
     for given in examples:
-        assert told(service("POST", "/scenes/room/locate", json=given))["num_matches"] >= 1
+        assert told(service.post("locate", given))["num_matches"] >= 1
 
 
 @contextmanager

@@ -10,7 +10,6 @@ from PIL import Image
 from command_line import answer_of, error_of, text_of
 from drsplat import Scene, WordEncoder, load_field, read_gaussians
 from drsplat.drawing.legend import class_colors, legend
-from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.photos.models.word_list import NOUNS
 from drsplat.query.thresholds import share_threshold
@@ -72,28 +71,6 @@ def test_a_share_is_that_of_the_registered(room, story, capsys):
     assert "not allowed with" in error_of(capsys, "select", "x", "y", *both, code=2)
 
 
-@pytest.mark.parametrize(
-    ("text", "things"),
-    [
-        ("red mug", ("red mug",)),
-        ("mug", ("red mug", "blue mug")),
-        ("couch", ("green sofa",)),
-        ("bicycle", ()),
-        ("elephant", ()),
-    ],
-)
-def test_the_automatic_threshold_finds_what_is_there(text, things, room, story, tmp_path, capsys):
-    out = tmp_path / "ids.npy"
-    argv = ["select", room / "room.field", text, "--threshold", "auto", "--save", out]
-    report = answer_of(capsys, *argv)
-    assert (report["threshold_rule"], report["measure"]) == ("encoder", "cosine")
-    found = np.load(out, allow_pickle=False)
-    assert intersection_over_union(found, truth_of(story, *things)) > 0.85
-    if not things:
-        nothing = ["locate", *argv[1:5], "--scene", room / "scene.ply"]
-        assert text_of(capsys, *nothing).startswith("No match")
-
-
 @pytest.mark.parametrize("threshold", [[], ["--threshold", "auto"]])
 @pytest.mark.parametrize("text", ["mug", "elephant"])
 def test_a_vocabulary_is_contrasted_with_its_other_texts(text, threshold, room, story, tmp_path, capsys):
@@ -117,52 +94,6 @@ def test_a_vocabulary_is_contrasted_with_its_other_texts(text, threshold, room, 
 
 def texts_with(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys((text, *NOUNS[:60], "wooden table", "white wall", "green sofa")))
-
-
-def test_auto_is_of_cosines(room, capsys):
-    for option in (["--relevancy"], ["--negatives", "floor"]):
-        argv = ["select", room / "room.field", "mug", "--threshold", "auto", *option]
-        assert "drop --relevancy" in error_of(capsys, *argv)
-
-
-@pytest.mark.parametrize("argv", [["mug, not red"], ["mug", "--exclude", "red"]])
-def test_not_leaves_one_mug(argv, room, story, capsys):
-    scene = ["--scene", room / "scene.ply"]
-    answer = answer_of(capsys, "locate", room / "room.field", *argv, *scene)
-    assert answer["query"] == "mug, not red"
-    assert answer["num_matches"] == 1
-    blue = story.gaussians.means[truth_of(story, "blue mug")]
-    center = answer["matches"][0]["center"]
-    assert_allclose(center, (blue.min(0) + blue.max(0)) / 2, atol=0.03)
-    assert answer["score_range"][0] > -1
-    relevant = answer_of(capsys, "locate", room / "room.field", *argv, *scene, "--relevancy",
-                         "--negatives", "floor,wall,sofa", "--threshold", "0.9")  # fmt: skip
-    assert relevant["num_matches"] == 1
-
-
-def test_not_needs_words(room, tmp_path, capsys):
-    write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
-    argv = ["select", room / "room.field", "--vector", tmp_path / "q.npy", "--exclude", "red"]
-    assert "in words" in error_of(capsys, *argv)
-    assert "mug, not red" in error_of(capsys, "select", room / "room.field", "mug, not ")
-
-
-def test_a_click_finds_the_thing_that_is_clicked(room, story, tmp_path, capsys):
-    """The pixel nearest to where the sofa's Gaussians are, on average, and that shows it."""
-    from drsplat.drawing.pictures import visible_share
-
-    ids, view = truth_of(story, "green sofa"), story.views[2]
-    share = visible_share(story.gaussians, view, ids)
-    rows, columns = np.nonzero(share > 0.95)
-    nearest = ((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2).argmin()
-    click = f"{Path(view.name).stem}:{columns[nearest]},{rows[nearest]}.5"
-    argv = ["--click", click, "--views", room, "--scene", room / "scene.ply"]
-    for cut in ([], ["--threshold", "auto"]):
-        out = tmp_path / f"{len(cut)}.npy"
-        report = answer_of(capsys, "select", room / "room.field", *argv, *cut, "--save", out)
-        assert (report["query"], report["threshold_rule"]) == (click, "auto")
-        assert report["score_range"][1] == pytest.approx(1, abs=1e-4)
-        assert intersection_over_union(np.load(out, allow_pickle=False), ids) > 0.9
 
 
 def test_clicks_say_what_they_need(room, capsys):

@@ -12,11 +12,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from drsplat import read_gaussians, write_gaussians
-from drsplat.authoring.editing import Isolate, Recolour, Remove
+from drsplat.authoring.editing import Recolour, Remove
 from drsplat.authoring.filming import looking
 from drsplat.drawing.heat import heat_of
-from drsplat.fronts.serving.pictures import png
-from drsplat.fronts.viewing import client, naming, painting, results, saving, shown
+from drsplat.fronts.viewing import client, naming, painting, saving, shown
 from drsplat.fronts.viewing.bare import is_bare, open_bare
 from drsplat.fronts.viewing.naming import photo_of
 from drsplat.fronts.viewing.session import MAX_QUERIES, Mode, Session
@@ -39,13 +38,6 @@ def rows(thing: int) -> np.ndarray:
 
 
 # --- what is shown ---
-
-
-def test_within_the_budget_everything_is_shown_and_nothing_is_said():
-    scene = random_gaussians(200)
-    all_of_it = shown.shown_of(scene, 200)
-    assert_array_equal(all_of_it.ids, np.arange(200))
-    assert all_of_it.summary == ""
 
 
 def test_above_the_budget_the_most_significant_are_shown_and_it_is_said():
@@ -242,14 +234,6 @@ def test_what_is_not_meant_has_half_its_light_and_little_colour():
     assert_allclose(np.ptp(dimmed, axis=1), 0.52 * 0.28 * np.ptp(rgb, axis=1), atol=1e-5)
 
 
-def test_two_queries_have_two_colours():
-    rgb = np.full((2, 3), 0.5, np.float32)
-    accents = [(255, 0, 0), (0, 0, 255)]
-    painted = painting.highlighted(rgb, np.array([0, 1], np.int32), accents)
-    assert painted[0].argmax() == 0
-    assert painted[1].argmax() == 2
-
-
 def test_features_of_one_thing_have_one_colour_and_others_another(session):
     session.mode = Mode.FEATURES
     colors = session.colors
@@ -262,67 +246,12 @@ def test_features_of_one_thing_have_one_colour_and_others_another(session):
 # --- asking ---
 
 
-def test_an_answer_is_shown_and_said(session):
-    said = session.ask("tall lamp")
-    assert_array_equal(session.selection, rows(2))
-    assert session.mode is Mode.ANSWER
-    assert said == f"tall lamp: 1 match, {EACH} Gaussians"
-
-
-def test_several_queries_and_a_negative_one(session):
-    session.ask("tall lamp; mug, not red")
-    lamp, mug = session.results
-    assert_array_equal(lamp.gaussian_ids, rows(2))
-    assert_array_equal(mug.gaussian_ids, rows(1))
-    owners = results.owners(session.results, len(session.scene.gaussians))
-    assert set(owners[rows(2)]) == {0}
-    assert set(owners[rows(1)]) == {1}
-    assert set(owners[rows(0)]) == {-1}
-
-
-def test_nothing_found_is_said(session):
-    said = "The best place has a cosine of 0.02, below the threshold of 0.60."
-    assert session.ask("elephant") == f"No match for 'elephant'. {said}"
-    assert not len(session.selection)
-
-
-def test_the_threshold_moves_the_selection_and_its_own_stays_marked(session):
-    session.ask("mug")
-    marked = session.results[0].answer.threshold
-    assert_array_equal(session.selection, np.concatenate([rows(0), rows(1)]))
-    low, high = session.results[0].limits
-    session.set_threshold(0, high)
-    assert not len(session.selection)
-    session.set_threshold(0, (low + marked) / 2)
-    assert len(session.selection) >= 2 * EACH
-    assert session.results[0].answer.threshold == marked
-    with refused("no query 1"):
-        session.set_threshold(1, 0.5)
-
-
 @pytest.mark.parametrize("text", ["", " ; ", ";".join(f"mug {i}" for i in range(9))])
 def test_no_words_and_too_many_queries_are_refused(session, text):
     session.ask("tall lamp")
     with refused(str(MAX_QUERIES)):
         session.ask(text)
     assert session.results[0].label == "tall lamp"  # what was there stays
-
-
-def test_a_click_is_named_and_more_of_it_is_found(session):
-    frame = session.shown.frame
-    origin = frame.shown(np.array([*CENTERS[2][:2], 5.0]))
-    this = session.click(origin, np.array([0.0, 0, -1]))
-    assert this.name == "tall lamp"
-    assert this.gaussian_id in rows(2)
-    assert [one.mask_id for one in this.evidence] == [2]
-    session.more_like_this()
-    assert_array_equal(session.selection, rows(2))
-
-
-def test_a_click_into_the_air_is_nothing(session):
-    assert session.click(np.array([0.0, 0, 500]), np.array([0.0, 0, 1])) is None
-    with refused("click something"):
-        session.more_like_this()
 
 
 def test_a_click_shows_the_photo_where_there_is_one(session, tmp_path):
@@ -332,21 +261,6 @@ def test_a_click_shows_the_photo_where_there_is_one(session, tmp_path):
     photo = photo_of(session.scene, this)
     assert photo.shape == (112, 160, 3)
     assert photo_of(Scene(session.scene.field, session.scene.gaussians), this) is None
-
-
-def test_a_picture_needs_an_encoder_that_sees(session):
-    with refused("sees no images"):
-        session.ask_picture(np.zeros((4, 4, 3), np.uint8), "mug.png")
-
-
-def test_classes_colour_everything_that_has_a_feature(session):
-    classes = session.classify(["red mug", "tall lamp ", ""])
-    assert classes.names == ("red mug", "tall lamp")
-    assert session.mode is Mode.CLASSES
-    colors = session.colors
-    assert not np.allclose(colors[rows(0)].mean(0), colors[rows(2)].mean(0), atol=0.1)
-    with refused("one or more"):
-        session.classify([])
 
 
 # --- changing and saving ---
@@ -363,30 +277,6 @@ def test_hidden_is_not_met_not_shown_and_not_saved(session, tmp_path):
     assert (session.edits.opacities == session.scene.gaussians.opacities).all()
 
 
-def test_kept_alone_everything_else_is_hidden(session):
-    session.ask("red mug")
-    session.edit(Isolate())
-    assert_array_equal(np.flatnonzero(session.edits.opacities), rows(0))
-
-
-def test_without_a_selection_nothing_is_changed(session):
-    with refused("nothing is selected"):
-        session.edit(Remove())
-    assert not session.hidden.any()
-
-
-def test_a_saved_scene_has_its_columns_and_stays_the_scene(session, tmp_path):
-    session.ask("red mug; tall lamp")
-    saving.save_scene(tmp_path / "found.ply", session)
-    saved = read_gaussians(tmp_path / "found.ply")
-    assert saved.fingerprint == session.scene.gaussians.fingerprint
-    ids = saved.extra["match_id"]
-    assert set(ids[rows(0)]) == {0}
-    assert set(ids[rows(2)]) == {1}
-    assert set(ids[rows(1)]) == {-1}
-    assert (saved.extra["relevancy"][rows(0)] > 0.9).all()
-
-
 def test_a_selection_is_saved_alone_and_in_its_new_colour(session, tmp_path):
     session.ask("red mug")
     session.edit(Recolour((0, 1, 0)))
@@ -398,28 +288,12 @@ def test_a_selection_is_saved_alone_and_in_its_new_colour(session, tmp_path):
     assert_allclose(rgb[:, [0, 2]], 0, atol=1e-6)
 
 
-def test_a_picture_shows_what_was_found(session):
-    view = session.scene.views[0].resized(320, 224)
-    plain = saving.picture_of(session, view)
-    session.ask("tall lamp")
-    found = saving.picture_of(session, view)
-    assert not np.array_equal(plain, found)
-    assert Image.open(io.BytesIO(png(found))).size == (320, 224)
-
-
 def test_a_flight_is_an_endless_gif(session):
     session.ask("tall lamp")
     eye, target = np.array([3.0, -3, 2]), np.zeros(3)
     film = Image.open(io.BytesIO(saving.flight_gif(session, eye, target, UP, frames=4)))
     assert film.n_frames == 4
     assert film.info["loop"] == 0
-
-
-def test_new_names_replace_nothing(tmp_path):
-    for expected in ("found.ply", "found-2.ply", "found-3.ply"):
-        path = saving.new_name(tmp_path, "found", ".ply")
-        assert path.name == expected
-        saving.write_bytes(path, b"x")
 
 
 def test_a_session_saves_so_many_files_and_never_over_another(tmp_path):
@@ -440,17 +314,6 @@ def test_a_session_saves_so_many_bytes(tmp_path):
         saves.save("found", ".ply", lambda path: path.write_bytes(b"xy"))
     with refused("saved enough"):
         saves.save("found", ".ply", lambda path: path.write_bytes(b""))
-
-
-def test_without_a_folder_nothing_stays_on_the_disk(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path, data = saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
-    assert data == b"xy"
-    assert not path.exists()
-    assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr(saving, "MAX_SENT_BYTES", 1)
-    with refused("--save-dir"):
-        saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
 
 
 # --- texts of strangers ---
