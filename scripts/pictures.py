@@ -46,7 +46,7 @@ def _words() -> Made:
 
 def _photos() -> Made:
     script = ROOT / "scripts" / "make_page_pictures.py"
-    return Made("python scripts/make_page_pictures.py DEMO FILM FOLDER", (script, ROOT / "world" / "moving.py"))
+    return Made("python scripts/make_page_pictures.py DEMO FILM FOLDER", (script,))
 
 
 MADE: dict[str, Made] = {

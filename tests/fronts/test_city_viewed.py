@@ -78,7 +78,7 @@ def arrays_of(reply: Any) -> dict[str, np.ndarray]:
 def test_a_city_is_open_before_a_tile_is_read(city):
     with patch.object(Tiles, "_read", side_effect=AssertionError("a tile was read")):
         viewer = Viewer(session_of(opened(city / "tiled"), 200))
-        header = viewer.get("/view/header").json()
+        header = viewer.header()
         assert viewer.get("/view/state").json()["mode"] == "as it is"
         viewer.close()
     assert sum(tile["rows"] for tile in header["tiles"]["tiles"]) == 300
@@ -113,7 +113,7 @@ def test_the_coarse_part_of_a_tile_has_what_is_most_significant(tiled):
 def test_answers_paint_parts_as_they_paint_the_whole(viewer, whole):
     session = viewer.session
     assert isinstance(session, TiledSession)
-    viewer.do("ask", text="red mug; blue plate")
+    viewer.ask("red mug; blue plate")
     whole.ask("red mug; blue plate")
     arrays = arrays_of(viewer.get("/view/tiles-paint", parts=",".join(map(str, PARTS))))
     rows = np.concatenate([session.rows_of(part) for part in PARTS])
@@ -173,7 +173,7 @@ def test_what_is_outlined_is_selected_as_in_the_whole(tiled, whole):
 
 
 def test_annotations_are_kept_and_edits_refused(viewer):
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     state = viewer.do("annotate", text="here", at="selection")
     assert [one["text"] for one in state["annotations"]] == ["here"]
     for act in ({"act": "edit", "change": "remove"}, {"act": "undo"}, {"act": "restore"}):
@@ -199,7 +199,7 @@ def test_parts_that_are_not_there_are_refused(viewer, parts, said):
 
 def test_a_scene_in_memory_has_no_parts(whole):
     viewer = Viewer(whole)
-    assert viewer.get("/view/header").json()["tiles"] is None
+    assert viewer.header()["tiles"] is None
     assert "not in tiles" in viewer.get("/view/tiles", parts="0").text
     viewer.close()
 

@@ -78,7 +78,7 @@ def test_splats_are_those_of_the_session_the_most_significant_first(viewer):
 
 
 def test_rows_come_in_pieces_of_which_none_is_large(viewer, monkeypatch):
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     paths = ("/view/splats", "/view/paint", "/view/colors?mode=features")
     whole = {path: viewer.get(path).content for path in paths}
     sizes = {path: len(content) // COUNT for path, content in whole.items()}
@@ -98,11 +98,11 @@ def test_a_budget_is_kept_and_said():
     with a_viewer(Session(boxes_scene(), 100)) as viewer:
         assert len(viewer.arrays("/view/splats")["opacity"]) == 100
         assert len(viewer.arrays("/view/paint")["heat"]) == 100
-        assert "100 most significant of 960" in viewer.get("/view/header").json()["about"]
+        assert "100 most significant of 960" in viewer.header()["about"]
 
 
 def test_paint_says_which_query_each_row_is_of(viewer):
-    state = viewer.do("ask", text="red mug; tall lamp")
+    state = viewer.ask("red mug; tall lamp")
     assert_array_equal(things_with(viewer, "owner"), [np.arange(EACH), np.arange(2 * EACH, 3 * EACH)])
     paint = viewer.arrays("/view/paint")
     assert (paint["heat"][paint["owner"] > 0] > 127).all()
@@ -115,13 +115,13 @@ def test_answers_are_painted_once_for_all_who_look(viewer, monkeypatch):
     calls: list[int] = []
     made = arrays.paint
     monkeypatch.setattr(arrays, "paint", lambda stage: calls.append(1) or made(stage))
-    viewer.do("ask", text="mug")
+    viewer.ask("mug")
     for _ in range(3):
         viewer.get("/view/paint")
     viewer.do("annotate", text="here", at="selection")  # which changes nothing that is painted
     viewer.get("/view/paint")
     assert len(calls) == 1
-    viewer.do("ask", text="lamp")
+    viewer.ask("lamp")
     viewer.get("/view/paint")
     assert len(calls) == 2
 
@@ -175,7 +175,7 @@ def test_the_page_takes_its_script_and_its_look_from_here(viewer):
 
 
 def test_a_header_says_where_to_begin_and_what_can_be_done(viewer):
-    header, session = viewer.get("/view/header").json(), viewer.session
+    header, session = viewer.header(), viewer.session
     assert header["title"] == "boxes"
     assert header["modes"] == ["answer", "heat map", "as it is", "features", "classes"]
     can = header["can"]
@@ -193,10 +193,10 @@ def test_a_header_says_where_to_begin_and_what_can_be_done(viewer):
 
 
 def test_words_are_suggested_once_the_encoder_is_there(viewer):
-    first = viewer.get("/view/header").json()
+    first = viewer.header()
     assert first["words"] == []
     viewer.lanes.change(viewer.shared.prepare).result(60)
-    header, state = viewer.get("/view/header").json(), viewer.state()
+    header, state = viewer.header(), viewer.state()
     assert set(header["words"]) <= set(THINGS)
     assert header["words"]
     assert state["header"] == header["header"] > first["header"]
@@ -204,7 +204,7 @@ def test_words_are_suggested_once_the_encoder_is_there(viewer):
 
 
 def test_a_header_lists_objects_with_places_to_see_them_from(furnished):
-    header, session = furnished.get("/view/header").json(), furnished.session
+    header, session = furnished.header(), furnished.session
     assert [one["number"] for one in header["objects"]] == [0, 1]
     objects, frame = session.scene.objects, session.shown.frame
     for one in header["objects"]:
@@ -222,7 +222,7 @@ def test_a_header_lists_objects_with_places_to_see_them_from(furnished):
 
 
 def test_an_answer_has_boxes_and_a_threshold(viewer):
-    (result,) = viewer.do("ask", text="tall lamp")["results"]
+    (result,) = viewer.ask("tall lamp")["results"]
     (match,) = result["matches"]
     session = viewer.session
     own = session.results[0].matches[0]
@@ -237,7 +237,7 @@ def test_an_answer_has_boxes_and_a_threshold(viewer):
 
 
 def test_a_threshold_moves_the_selection_and_its_own_stays(viewer):
-    before = viewer.do("ask", text="red mug; tall lamp")
+    before = viewer.ask("red mug; tall lamp")
     after = viewer.do("threshold", query=0, value=before["results"][0]["limits"][0] - 0.01)
     assert after["selection"] > before["selection"]
     assert after["results"][0]["automatic"] == before["results"][0]["automatic"]
@@ -246,13 +246,13 @@ def test_a_threshold_moves_the_selection_and_its_own_stays(viewer):
 
 
 def test_nothing_found_and_words_that_are_not_known_are_said(viewer):
-    state = viewer.do("ask", text="elephant")
+    state = viewer.ask("elephant")
     assert state["message"].startswith("No match for 'elephant'. The best place has")
     (result,) = state["results"]
     assert result["doubt"].startswith("The best place has a cosine of ")
     assert "below the threshold of 0.60" in result["doubt"]
     assert result["instead"] == ["mug", "lamp"]
-    assert viewer.do("ask", text=result["instead"][0])["results"][0]["instead"] == []
+    assert viewer.ask(result["instead"][0])["results"][0]["instead"] == []
     assert "ask: there is no such field: txt. Did you mean 'text'?" in viewer.refused("ask", txt="mug")
     assert "no such field: zoom. There are during, present, act, text" in viewer.refused("ask", text="mug", zoom=2)
     assert state["selection"] == 0
@@ -274,7 +274,7 @@ def test_modes_are_those_that_show_something(viewer):
 
 
 def test_clear_lets_go_of_everything(viewer):
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     viewer.do("click", **ray_to(viewer, CENTERS[0]))
     state = viewer.do("clear")
     assert (state["results"], state["clicked"], state["selection"], state["mode"]) == ([], None, 0, "as it is")
@@ -332,10 +332,10 @@ def test_objects_are_chosen_named_and_made_larger(furnished):
     assert named["chosen"]["name"] == "my ball"
     assert named["chosen"]["label"]
     assert named["header"] > state["header"]
-    header = furnished.get("/view/header").json()
+    header = furnished.header()
     assert [one["name"] for one in header["objects"]][1] == "my ball · 1"
     assert "my ball" in header["words"]
-    assert furnished.do("ask", text="my ball")["selection"] == state["selection"]
+    assert furnished.ask("my ball")["selection"] == state["selection"]
     assert "no object" in furnished.refused("choose", number=2)
     furnished.do("clear")
     assert "no object is selected" in furnished.refused("name", text="x")
@@ -364,7 +364,7 @@ def test_an_outline_selects_what_is_seen_inside_it(viewer):
 
 
 def test_edits_change_what_is_drawn_and_are_undone(viewer):
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     plain = viewer.shared.splats()
     state = viewer.do("edit", change="recolour", color="#2060ff")
     assert [(one["what"], one["target"], one["done"]) for one in state["edits"]] == [("recolour", "“red mug”", True)]
@@ -398,7 +398,7 @@ def test_edits_change_what_is_drawn_and_are_undone(viewer):
     ],
 )
 def test_each_change_is_drawn(viewer, change, given):
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     before = viewer.arrays("/view/splats")
     state = viewer.do("edit", change=change, **given)
     after = viewer.arrays("/view/splats")
@@ -423,7 +423,7 @@ def test_each_change_is_drawn(viewer, change, given):
 def test_a_change_that_cannot_be_made_leaves_the_scene(viewer, given, reason):
     import re
 
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     before = viewer.shared.splats()
     assert re.search(reason, viewer.refused("edit", **given))
     assert viewer.shared.splats() == before
@@ -450,7 +450,7 @@ def moved_centers(viewer: Viewer) -> np.ndarray:
 def test_annotations_are_at_boxes_and_at_clicks(viewer):
     assert "nothing is selected" in viewer.refused("annotate", text="x", at="selection")
     assert "click something" in viewer.refused("annotate", text="x", at="click")
-    viewer.do("ask", text="tall lamp")
+    viewer.ask("tall lamp")
     (box,) = viewer.do("annotate", text="a lamp", at="selection")["annotations"]
     match = viewer.state()["results"][0]["matches"][0]
     assert_allclose(box["center"], match["center"], atol=1e-3)
@@ -469,9 +469,9 @@ def test_annotations_are_at_boxes_and_at_clicks(viewer):
 def test_a_scene_that_moves_is_drawn_and_boxed_at_its_time():
     scene = passing_red_scene()
     with a_viewer(Session(scene)) as viewer:
-        times = viewer.get("/view/header").json()["times"]
+        times = viewer.header()["times"]
         assert (times["first"], times["last"], times["count"]) == (0.0, 1.0, len(scene.moving.times))
-        first = viewer.do("ask", text="red car")
+        first = viewer.ask("red car")
         assert first["time"] == {"at": 0.0, "during": None}
         before, rows = viewer.arrays("/view/splats")["centers"].reshape(-1, 3), rows_of(viewer)
         last = viewer.do("time", at=1.0)
@@ -487,11 +487,11 @@ def test_a_scene_that_moves_is_drawn_and_boxed_at_its_time():
 
 def test_queries_ask_of_a_span_of_time():
     with a_viewer(Session(passing_red_scene())) as viewer:
-        state = viewer.do("ask", text="red car", during=[0.0, 0.3])
+        state = viewer.ask("red car", during=[0.0, 0.3])
         assert state["time"]["during"] == [0.0, 0.3]
         seen = {viewer.session.scene.view(one.view_name).time for one in viewer.session.results[0].matches[0].support}
         assert max(time for time in seen if time is not None) <= 0.3
-        assert viewer.do("ask", text="red car")["time"]["during"] == [0.0, 0.3]
+        assert viewer.ask("red car")["time"]["during"] == [0.0, 0.3]
         assert viewer.do("during", span=[0, 1])["time"]["during"] is None
         assert "before its end" in viewer.refused("during", span=[0.5, 0.2])
 
@@ -508,7 +508,7 @@ def test_a_scene_that_stands_still_has_no_time(viewer):
 def test_a_scene_without_a_field_is_seen_outlined_and_edited_but_not_asked(tmp_path):
     write_gaussians(tmp_path / "plain.ply", replace(random_gaussians(80), opacities=np.full(80, 0.9, np.float32)))
     with a_viewer(Session(opened(tmp_path / "plain.ply"))) as viewer:
-        header = viewer.get("/view/header").json()
+        header = viewer.header()
         assert not header["can"]["ask"]
         assert header["can"]["edit"]
         assert "no field" in header["about"]

@@ -46,7 +46,7 @@ def scenes_of(viewer: Viewer, text: str) -> list[str]:
 
 
 def test_answers_have_thumbnails(viewer):
-    assert viewer.get("/view/header").json()["can"]["catalogue"]
+    assert viewer.header()["can"]["catalogue"]
     assert scenes_of(viewer, "mug") == ["kitchen", "o'hara"]
     for number in range(2):
         picture = viewer.get("/view/catalogue-picture", number=number)

@@ -62,7 +62,7 @@ def pixels_of(answer: Any, kind: str) -> np.ndarray:
 
 
 def test_a_picture_is_what_the_renderer_draws_of_what_is_shown(viewer):
-    viewer.do("ask", text="tall lamp")
+    viewer.ask("tall lamp")
     seen_from = camera(viewer)
     drawn = pixels_of(viewer.post("/view/picture", {"camera": seen_from}), "PNG")
     assert drawn.shape == (240, 320, 3)
@@ -76,7 +76,7 @@ def test_a_picture_is_what_the_renderer_draws_of_what_is_shown(viewer):
 
 
 def test_before_and_after_are_side_by_side(viewer):
-    viewer.do("ask", text="red mug; tall lamp; blue mug")
+    viewer.ask("red mug; tall lamp; blue mug")
     viewer.do("edit", change="remove")
     both = pixels_of(viewer.post("/view/before-after", {"camera": camera(viewer)}), "PNG").astype(int)
     before, after = both[:, :320], both[:, 320:]
@@ -86,7 +86,7 @@ def test_before_and_after_are_side_by_side(viewer):
 
 
 def test_photos_are_those_of_the_scene_and_no_others(furnished):
-    name = furnished.get("/view/header").json()["photos"][0]["name"]
+    name = furnished.header()["photos"][0]["name"]
     photo = pixels_of(furnished.get("/view/photo", name=name, side=32), "JPEG")
     assert max(photo.shape) == 32
     for bad in ("../secret.png", "/etc/passwd", ""):
@@ -118,7 +118,7 @@ def test_a_click_has_the_photo_of_most_support(furnished):
 
 
 def test_a_scene_and_a_selection_are_saved_and_sent(viewer, tmp_path):
-    viewer.do("ask", text="tall lamp")
+    viewer.ask("tall lamp")
     whole = viewer.post("/view/save", {"what": "scene"})
     assert whole.headers["content-disposition"] == 'attachment; filename="found.ply"'
     path = Path(unquote(whole.headers["x-drsplat-saved"]))
@@ -154,7 +154,7 @@ def test_a_swing_is_about_the_best_match_or_what_is_looked_at(viewer, monkeypatc
     assert "camera" in error_of(viewer.post("/view/save", {"what": "swing"}), 422)
     looked = camera(viewer, target=(0.5, 0.5, 0.5))
     assert viewer.post("/view/save", {"what": "swing", "camera": looked}).content == b"GIF89a"
-    viewer.do("ask", text="tall lamp")
+    viewer.ask("tall lamp")
     viewer.post("/view/save", {"what": "swing", "camera": looked})
     assert_allclose(targets[0], (0.5, 0.5, 0.5), atol=1e-6)
     assert_allclose(targets[1], viewer.session.results[0].matches[0].center)
@@ -214,7 +214,7 @@ def test_a_film_that_nobody_waits_for_ends(viewer, tmp_path):
 
 
 def test_a_page_has_the_queries_that_are_answered_now(furnished):
-    furnished.do("ask", text="red mug; blue mug")
+    furnished.ask("red mug; blue mug")
     page = furnished.post("/view/page", {})
     assert page.status_code == 200, page.text
     assert page.headers["content-disposition"] == 'attachment; filename="page.html"'
@@ -227,13 +227,13 @@ def test_a_page_has_the_queries_that_are_answered_now(furnished):
 
 def test_a_scene_that_is_sent_is_shown_in_place_of_the_one_before(viewer, tmp_path):
     write_gaussians(tmp_path / "sent.ply", random_gaussians(70))
-    before = viewer.do("ask", text="red mug")
+    before = viewer.ask("red mug")
     state = viewer.post("/view/open?name=sent.ply", (tmp_path / "sent.ply").read_bytes()).json()
     assert state["scene"] == before["scene"] + 1
     assert state["results"] == []
     assert "sent" in state["message"]
     assert not state["kept"]
-    assert viewer.get("/view/header").json()["title"] == "sent"
+    assert viewer.header()["title"] == "sent"
     assert len(viewer.arrays("/view/splats")["opacity"]) == 70
     root = viewer.shared.uploads.root
     assert len(list(root.rglob("*.ply"))) == 1
@@ -242,7 +242,7 @@ def test_a_scene_that_is_sent_is_shown_in_place_of_the_one_before(viewer, tmp_pa
 
 
 def test_a_folder_that_is_sent_file_by_file_answers_words(viewer, room):
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     for path in sorted(room.rglob("*")):
         if path.is_file():
             name = f"room/{path.relative_to(room)}"
@@ -250,13 +250,13 @@ def test_a_folder_that_is_sent_file_by_file_answers_words(viewer, room):
             assert answer.status_code == 200, answer.text
     state = viewer.do("open", batch="b1")
     assert state["message"].startswith("opened room")
-    assert viewer.do("ask", text="red mug")["selection"] > 0
-    assert viewer.get("/view/header").json()["can"]["objects"]
+    assert viewer.ask("red mug")["selection"] > 0
+    assert viewer.header()["can"]["objects"]
     assert "sent before" in viewer.refused("open", batch="b1")
 
 
 def test_what_cannot_be_opened_leaves_what_is_shown(viewer, room, tmp_path):
-    before = viewer.do("ask", text="red mug")
+    before = viewer.ask("red mug")
     for name, data in (("a.ply", b"ply\nnonsense"), ("a.txt", b"hello"), ("a.sog", b"PK\x03\x04"), ("a.splat", b"x")):
         error_of(viewer.post(f"/view/open?name={name}", data), 422)
     shutil.rmtree(room / "room.field")
@@ -304,10 +304,10 @@ def test_what_is_sent_is_found_in_its_folders(files, root, tmp_path):
 
 def test_where_no_scene_is_open_that_is_said():
     with a_viewer(Session(boxes_scene(), words=THINGS)) as viewer:
-        full = set(viewer.state()), set(viewer.get("/view/header").json()["can"])
+        full = set(viewer.state()), set(viewer.header()["can"])
         viewer.shared._stage = None
         viewer.shared.note()
-        assert (set(viewer.state()), set(viewer.get("/view/header").json()["can"])) == full
+        assert (set(viewer.state()), set(viewer.header()["can"])) == full
         assert len(viewer.arrays("/view/splats")["centers"]) == 0
         assert len(viewer.arrays("/view/paint")["owner"]) == 0
         assert "no scene is open" in viewer.refused("ask", text="mug")
@@ -341,7 +341,7 @@ def test_a_flight_passes_the_key_frames_as_the_film_does(viewer):
 
 
 def test_a_scene_is_saved_with_its_objects_matches_and_edits(furnished, tmp_path):
-    furnished.do("ask", text="red mug")
+    furnished.ask("red mug")
     answer = furnished.post("/view/save", {"what": "scene", "format": ".glb"})
     assert answer.status_code == 200, answer.text
     glb = Read.of(answer.content)

@@ -494,7 +494,7 @@ def test_forged_values_of_every_act_are_no_faults(acts):
         count = sum(map(len, (viewer.arrays("/view/splats")["opacity"], viewer.arrays("/view/paint")["heat"])))
         assert count == 2 * len(viewer.session.drawn)
         viewer.do("restore")
-        assert viewer.do("ask", text="tall lamp")["results"][0]["num_matches"] == 1
+        assert viewer.ask("tall lamp")["results"][0]["num_matches"] == 1
 
 
 def test_every_act_is_known_by_one_name():
@@ -615,17 +615,17 @@ def test_a_fault_of_the_system_is_said_without_a_path(viewer, monkeypatch):
 def test_errors_are_told_to_whoever_asked_and_to_nobody_else(viewer):
     assert "nothing is selected" in viewer.refused("edit", change="remove")
     assert viewer.state()["message"] == ""
-    assert viewer.do("ask", text="tall lamp")["message"].startswith("tall lamp: 1 match")
+    assert viewer.ask("tall lamp")["message"].startswith("tall lamp: 1 match")
 
 
 def test_no_text_of_a_stranger_is_more_than_text(viewer):
-    state = viewer.do("ask", text="lamp, not <img src=x>\x1b[2J\u202e")
+    state = viewer.ask("lamp, not <img src=x>\x1b[2J\u202e")
     assert "\x1b" not in json.dumps(state, ensure_ascii=False)
     assert "\u202e" not in json.dumps(state, ensure_ascii=False)
 
 
 def test_arrays_hold_numbers_whatever_is_asked(viewer):
-    viewer.do("ask", text="red mug; tall lamp; blue mug")
+    viewer.ask("red mug; tall lamp; blue mug")
     paint = viewer.arrays("/view/paint")
     assert paint["owner"].max() == 3
     assert np.isfinite(viewer.arrays("/view/splats")["centers"]).all()

@@ -63,12 +63,12 @@ def editing(monkeypatch: pytest.MonkeyPatch) -> Gate:
 
 
 def test_queries_and_splats_come_from_the_old_version_while_an_edit_is_computed(viewer, editing):
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     before = viewer.get("/view/splats").content
     with others() as pool:
         edit = pool.submit(viewer.do, "edit", change="remove")
         assert editing.come.wait(PATIENCE_S)
-        state = viewer.do("ask", text="blue mug")
+        state = viewer.ask("blue mug")
         assert state["results"][0]["text"] == "blue mug"
         assert state["edits"] == []
         assert viewer.get("/view/splats").content == before
@@ -81,7 +81,7 @@ def test_queries_and_splats_come_from_the_old_version_while_an_edit_is_computed(
 
 
 def test_edits_of_two_pages_are_both_done_one_after_the_other(viewer, editing):
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     with others() as pool:
         first = pool.submit(viewer.do, "edit", change="recolour", color="#2060ff")
         assert editing.come.wait(PATIENCE_S)
@@ -109,7 +109,7 @@ def test_a_film_is_drawn_of_what_was_shown_when_it_was_asked_for(viewer, monkeyp
     with others() as pool:
         film = pool.submit(viewer.post, "/view/film", body)
         assert gate.come.wait(PATIENCE_S)
-        viewer.do("ask", text="red mug")
+        viewer.ask("red mug")
         assert len(viewer.do("edit", change="remove")["edits"]) == 1
         assert viewer.get("/view/film-progress", job="mine").json() == {"done": 0, "count": 6}
         assert not film.done()
@@ -129,7 +129,7 @@ def test_a_page_is_of_the_edits_on_show_also_where_they_are_kept_nowhere(viewer,
         return page
 
     monkeypatch.setattr(files, "export_session", slow)
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     viewer.do("edit", change="remove")
     with others() as pool:
         page = pool.submit(viewer.post, "/view/page", {})
@@ -156,10 +156,10 @@ def test_names_are_found_beside_the_session(viewer, monkeypatch):
     monkeypatch.setattr("drsplat.fronts.viewing.live.stage.suggestions", lambda *_: gate.wait() or ["red mug"])
     preparing = viewer.lanes.change(viewer.shared.prepare)
     assert gate.come.wait(PATIENCE_S)
-    assert viewer.get("/view/header").json()["words"] == []
+    assert viewer.header()["words"] == []
     gate.go.set()
     preparing.result(PATIENCE_S)
-    assert viewer.get("/view/header").json()["words"] == ["red mug"]
+    assert viewer.header()["words"] == ["red mug"]
 
 
 def test_what_fails_in_each_step_goes_to_whoever_waits():

@@ -34,9 +34,9 @@ def texts_of(browser: Viewer) -> list[str]:
 
 def test_two_browsers_have_two_questions(viewer):
     one, other = Browser(viewer), Browser(viewer)
-    asked = one.do("ask", text="red mug")
+    asked = one.ask("red mug")
     assert texts_of(other) == []
-    other.do("ask", text="blue mug; tall lamp")
+    other.ask("blue mug; tall lamp")
     assert (texts_of(one), texts_of(other)) == (["red mug"], ["blue mug", "tall lamp"])
     assert one.state()["paint"] == asked["paint"]  # nothing to be fetched again
     np.testing.assert_array_equal(np.unique(one.arrays("/view/paint")["owner"]), [0, 1])
@@ -48,7 +48,7 @@ def test_two_browsers_have_two_questions(viewer):
 def test_thresholds_clicks_modes_and_classes_are_each_browsers_own(viewer):
     one, other = Browser(viewer), Browser(viewer)
     for browser in (one, other):
-        browser.do("ask", text="red mug")
+        browser.ask("red mug")
     one.do("threshold", query=0, value=2.0)
     one.do("mode", mode="heat map")
     frame = viewer.session.shown.frame
@@ -64,7 +64,7 @@ def test_thresholds_clicks_modes_and_classes_are_each_browsers_own(viewer):
 
 def test_a_reload_keeps_what_was_asked(viewer):
     browser = Browser(viewer)
-    browser.do("ask", text="red mug")
+    browser.ask("red mug")
     cookie = browser.cookie
     browser.load()
     assert browser.cookie == cookie
@@ -75,7 +75,7 @@ def test_who_starts_the_viewer_asks_for_all_who_come():
     with a_viewer() as viewer:
         viewer.shared.begin("tall lamp")
         first, second = Browser(viewer), Browser(viewer)
-        first.do("ask", text="red mug")
+        first.ask("red mug")
         assert (texts_of(first), texts_of(second)) == (["red mug"], ["tall lamp"])
         assert (texts_of(Browser(viewer)), texts_of(viewer)) == (["tall lamp"], ["tall lamp"])
         assert "tall lamp: 1 match" in second.state()["message"]
@@ -97,7 +97,7 @@ def test_what_was_clicked_and_found_goes_with_the_next_question(viewer):
     frame = viewer.session.shown.frame
     ray = {"origin": frame.shown(np.array(CENTERS[2]) - [0.0, 4.0, 0.0]).tolist(), "direction": [0.0, 1.0, 0.0]}
     viewer.do("click", **ray)
-    assert viewer.do("ask", text="red mug")["clicked"] is None
+    assert viewer.ask("red mug")["clicked"] is None
     assert viewer.do("click", **ray)["clicked"]
     viewer.refused("ask", text=" ; ")
     state = viewer.state()
@@ -109,8 +109,8 @@ def test_what_was_clicked_and_found_goes_with_the_next_question(viewer):
 
 def test_edits_and_notes_of_one_are_there_for_all(viewer):
     one, other = Browser(viewer), Browser(viewer)
-    before = other.do("ask", text="tall lamp")
-    one.do("ask", text="red mug")
+    before = other.ask("tall lamp")
+    one.ask("red mug")
     one.do("annotate", text="here", at="selection")
     one.do("edit", change="remove")
     state = other.state()
@@ -128,7 +128,7 @@ def test_a_scene_that_one_opens_is_open_for_all_and_nothing_is_asked_of_it(viewe
     from drsplat import write_gaussians
 
     one, other = Browser(viewer), Browser(viewer)
-    before = other.do("ask", text="tall lamp")
+    before = other.ask("tall lamp")
     write_gaussians(tmp_path / "a.ply", random_gaussians(50))
     answer = one.post("/view/open?name=a.ply", (tmp_path / "a.ply").read_bytes())
     assert answer.status_code == 200, answer.text
@@ -197,7 +197,7 @@ def test_a_cookie_is_only_for_the_page_and_for_one_port(viewer):
 def test_the_oldest_of_too_many_visits_goes(viewer, monkeypatch):
     monkeypatch.setattr(turns, "MAX_VISITS", 3)
     first, second, third = (Browser(viewer) for _ in range(3))
-    first.do("ask", text="red mug")  # which makes the second one the oldest
+    first.ask("red mug")  # which makes the second one the oldest
     Browser(viewer)
     assert len(viewer.shared.visits) == 3
     assert second.get("/view/state").status_code == 410
@@ -219,19 +219,19 @@ def test_visits_that_nobody_comes_back_to_go(viewer, monkeypatch):
 
 def test_answers_of_all_browsers_have_one_bound(viewer, monkeypatch):
     browsers = [Browser(viewer) for _ in range(4)]
-    browsers[0].do("ask", text="red mug")
+    browsers[0].ask("red mug")
     size = viewer.session.num_bytes
     result = viewer.session.results[0]
     arrays = (result.answer.values, result.answer.scores, result.gaussian_ids)
     assert size >= sum(array.nbytes for array in arrays) > 0
     monkeypatch.setattr(turns, "MAX_ANSWER_BYTES", 3 * size)
     for browser in browsers[1:]:
-        browser.do("ask", text="red mug")
+        browser.ask("red mug")
     browsers[3].state()
     assert browsers[0].get("/view/state").status_code == 410
     assert [texts_of(browser) for browser in browsers[1:]] == [["red mug"]] * 3
     monkeypatch.setattr(turns, "MAX_ANSWER_BYTES", 1)
-    browsers[1].do("ask", text="red mug; tall lamp")
+    browsers[1].ask("red mug; tall lamp")
     assert texts_of(browsers[1]) == ["red mug", "tall lamp"]  # the one that asks keeps its own
     assert len(viewer.shared.visits) == 1
 
@@ -244,7 +244,7 @@ def test_the_classes_of_a_browser_hold_a_label_per_gaussian_and_no_answers(viewe
 
 def test_nothing_is_kept_of_thresholds_that_were_dragged(viewer):
     browser = Browser(viewer)
-    browser.do("ask", text="red mug")
+    browser.ask("red mug")
     for number in range(5):
         browser.post("/view/do", {"act": "threshold", "query": number, "value": 0.5})
     assert viewer.lanes.quick._latest == {}
