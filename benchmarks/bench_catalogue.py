@@ -1,14 +1,13 @@
 """A catalogue of many scenes on this machine: recall of its codes, times, sizes, and asking while others write.
 
     python benchmarks/bench_catalogue.py OFFICIAL [--scenes 1000] [--each 300] [--descriptors 0] [--thumbnail 4096]
-        [--queries 200] [--compared 10] [--seconds 30] [--clients 16] [--peers] [--real FOLDER...] [--keep FOLDER]
+        [--queries 200] [--compared 10] [--seconds 30] [--clients 16] [--keep FOLDER]
 
 OFFICIAL is the authors' folder with `pq_index.faiss`: embeddings of objects and words are drawn with its statistics
 (drawn_embeddings.py), an object as one of 5,000 kinds of things, a descriptor as one mask of it, which is noisier than
 the mean that it is. --descriptors 0: 1 to 4 of an object, as often as in two real scenes; else so many of each.
 --thumbnail: bytes of each, not compressible; 0 for none. Half of the queries are words, half are pictures of a kind.
---keep: use what an earlier run left there. --peers: LanceDB's IVF_RQ beside it, with 2 and 10
-times as many candidates compared exactly.
+--keep: use what an earlier run left there.
 
 Exact answers, to --compared words and as many pictures, compare all descriptors; recall is the share of their first 10
 that the codes find too, and of the first 256 objects that are ranked. Then --clients threads ask for --seconds, while
@@ -21,25 +20,22 @@ import shutil
 import tempfile
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from drawn_embeddings import CLIP, Drawn
 from machine import arguments
 from scipy.spatial.transform import Rotation
 
-from drsplat import DrSplatWarning, Query
+from drsplat import Query
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.query.catalogue import Catalogue, Conditions, table
 from drsplat.query.catalogue.codes import Search, nearest_objects
 from drsplat.query.catalogue.record import read_record
-from drsplat.query.catalogue.snapshot import ROW_ID, batch, current, described_of, libraries
+from drsplat.query.catalogue.snapshot import ROW_ID, batch, current
 from drsplat.query.sketch import Packed, Sketch
 
 KINDS, AT_ONCE, TOP = 5000, 25, 10
@@ -228,32 +224,6 @@ def by_codes(catalogue: Catalogue) -> Callable[[np.ndarray, int], list[int]]:
     return find
 
 
-def peers(catalogue: Catalogue, queries: np.ndarray, folder: Path) -> None:
-    """LanceDB's index of the smallest codes over the same descriptors in 16 bits a number, a thousand a partition."""
-    from lancedb.index import IvfRq
-
-    lancedb, pa = libraries()
-    snapshot, partitions = catalogue._snapshot(), max(16, len(catalogue) // 1000)
-    rows = snapshot.take(snapshot.row_ids("true"), ["descriptors"])
-    described = described_of(rows["descriptors"], catalogue.path)
-    halves = pa.array(described.descriptors.astype(np.float16).ravel())
-    vectors = pa.FixedSizeListArray.from_arrays(halves, CLIP.dim)
-    lists = pa.ListArray.from_arrays(pa.array(described.starts, pa.int32()), vectors)
-    own = lancedb.connect(folder).create_table("peer", data=pa.table({"row": rows[ROW_ID], "descriptors": lists}))
-    with timed("LanceDB's IVF_RQ"):
-        own.create_index("descriptors", config=IvfRq(distance_type="cosine", num_partitions=partitions))
-    for probes, factor in ((partitions // 3, 2), (partitions // 2, 2), (partitions // 2, 10)):
-        how = f"  IVF_RQ, {probes} of {partitions} partitions, refine_factor {factor}"
-        ranked(catalogue, queries, partial(by_lancedb, own, probes, factor), how)
-
-
-def by_lancedb(opened: Any, probes: int, factor: int, query: np.ndarray, count: int) -> list[int]:
-    search = opened.search(query, vector_column_name="descriptors", query_type="vector").distance_type("cosine")
-    search = search.limit(count).nprobes(probes).refine_factor(factor)
-    rows: list[int] = search.select(["row", "descriptors", "_distance"]).to_arrow()["row"].to_pylist()
-    return rows
-
-
 def under_load(path: Path, catalogue: Catalogue, clients: int, seconds: float) -> None:
     """Threads ask for what one scene has and others have at times, while one writer changes these."""
     vector = -catalogue._surroundings(catalogue._snapshot()).usual.mean(axis=0)  # like nothing that is there
@@ -300,31 +270,14 @@ def under_load(path: Path, catalogue: Catalogue, clients: int, seconds: float) -
         print(f"  {len(some)} times {kind}: median {np.median(some or [0]):.2f} s, at most {max(some or [0]):.2f} s")
 
 
-def real(path: Path, folders: list[Path]) -> None:
-    """Scenes as people have them: what adding one takes, and its size."""
-    warnings.simplefilter("ignore", DrSplatWarning)
-    catalogue = Catalogue.open(path)
-    for folder in folders:
-        with timed(f"add {folder}"):
-            listed = catalogue.add(folder)
-        known = current(path)
-        assert known is not None
-        sizes = [len(data) for data in known.rows("thumbnail IS NOT NULL", ["thumbnail"])["thumbnail"].to_pylist()]
-        print(f"  {listed.num_objects} objects; thumbnails so far: {np.mean(sizes or [0]):,.0f} bytes on average")
-    told(path, catalogue)
-
-
 def main() -> None:
     given = arguments(
         __doc__, "official", scenes=1000, each=300, descriptors=0, thumbnail=4096, queries=200, compared=10,
-        seconds=30.0, clients=16, peers=False, real=[Path()], keep=Path,
+        seconds=30.0, clients=16, keep=Path,
     )  # fmt: skip
     folder = given.keep or Path(tempfile.mkdtemp(prefix="drsplat-catalogue-"))
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        folders = [one for one in given.real if one != Path()]
-        if folders:
-            real(folder / "real", folders)
         simulated, path = Simulated(given.official, given.each, given.descriptors, given.thumbnail), folder / "many"
         with timed("fill"):
             catalogue = filled(path, simulated, given.scenes)
@@ -342,8 +295,6 @@ def main() -> None:
         measured(catalogue, queries[:50], False, Conditions(scenes=("scene 00001",)), "one scene")
         listed(path, simulated, folder / "words.safetensors")
         ranked(catalogue, some, by_codes(catalogue), "by codes")
-        if given.peers:
-            peers(catalogue, some, folder / "peer")
         under_load(path, catalogue, given.clients, given.seconds)
     finally:
         if given.keep is None:

@@ -42,12 +42,6 @@ def family(pid: int) -> list[int]:
     return [pid, *(below for line in lists for child in line.split() for below in family(int(child)))]
 
 
-def seconds_of(pids: Sequence[int]) -> float:
-    """Return the processor's seconds of some processes so far."""
-    fields = [Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
-    return sum(int(one[11]) + int(one[12]) for one in fields) / os.sysconf("SC_CLK_TCK")
-
-
 def seconds_of_ended() -> float:
     """Return the processor's seconds of the processes of this one that have ended."""
     times = os.times()

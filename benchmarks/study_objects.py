@@ -6,8 +6,6 @@ True things are the objects of truth.json that most of 60 Gaussians or more belo
 structures and Gaussians that no photo shows are void. Scores are of each room, then means over rooms with intervals.
 --wrong: of so many percent of the masks, all weights go to another mask of the photo, drawn at random.
 --kept: where the weights and the truth of rooms are kept (minutes a room), and found the next time.
---choose: print, instead, what thresholds are best for the rivals that come without; for training rooms only.
---nodes: print, instead, how like each true thing its best node of our forest is: no choice of nodes does better.
 
 Rules: connected components of what the category of each true thing selects in the field without objects (who asks knows
 what is there, and a place's score is its confidence); MaskClustering's; LightSplat's; ours. The confidence of all three
@@ -46,7 +44,7 @@ from drsplat.formats.tensors import read_tensors, write_tensors
 MINI = MiniEncoder()
 OURS = "objects"
 BANDS = (LEAST, 200, 1000, np.inf)
-# best of --choose on four training rooms, both kinds of masks, none wrong
+# best of --choose (at 4a01ca08) on four training rooms, both kinds of masks, none wrong
 AGREEMENT = Agreement(gamma=0.8)
 ALIKE = Alike(iou=0.3, cosine=0.7, smallest=10)
 
@@ -218,57 +216,14 @@ def row(case: Case, rooms: list[Compared]) -> str:
     return f"| {case.masks}, {case.percent} % | {case.rule} | " + " | ".join(cells) + " |"
 
 
-def choose_rivals(folders: list[Path], masks: list[str], kept: Path) -> None:
-    """AP, AP50 and found, means over rooms and kinds of masks, best first."""
-    rooms = [room_of(folder, kind, kept) for folder, kind in product(folders, masks)]
-    tried: dict[str, Rule] = {}
-    for gamma in (0.0, 0.5, 0.65, 0.8):
-        tried[f"MaskClustering gamma {gamma}"] = rule_of(partial(consensus, Agreement(gamma)))
-    for iou, cosine in product((0.1, 0.2, 0.3, 0.5), (0.5, 0.6, 0.7, 0.8, 0.9)):
-        tried[f"LightSplat IoU {iou} cosine {cosine}"] = rule_of(partial(alike, Alike(iou, cosine, ALIKE.smallest)))
-    found = {}
-    for name, rule in tried.items():
-        of_rooms = [numbers(room.compared(rule(room))) for room in rooms]
-        found[name] = tuple(scorers.mean([100 * known[key] for known in of_rooms]) for key in ("AP", "AP50", "found"))
-    for name, values in sorted(found.items(), key=lambda item: -item[1][0]):
-        print(name, " ".join(f"{value:.1f}" for value in values))
-
-
-def best_nodes(room: Room) -> np.ndarray:
-    """Per true thing the IoU with the node of the forest most like it."""
-    forest = grow(room.evidence, room.gaussians.means[room.ids])
-    sizes = np.bincount(room.owners[room.owners >= 0], minlength=max(room.things) + 1)
-    things = [thing for thing in room.things if sizes[thing] >= LEAST]
-    shared = np.zeros((len(forest.parents), len(things)), np.int32)
-    shared[: len(room.ids)] = room.owners[room.ids][:, None] == things
-    for node, parent in enumerate(forest.parents.tolist()):  # children come first
-        if parent >= 0:
-            shared[parent] += shared[node]
-    ious = shared / (forest.sizes[:, None] + sizes[things] - shared)
-    return np.asarray(ious[forest.sizes >= MIN_GAUSSIANS].max(0))
-
-
-def print_nodes(folders: list[Path], masks: list[str], kept: Path) -> None:
-    for kind in masks:
-        best = np.concatenate([best_nodes(room_of(folder, kind, kept)) for folder in folders])
-        print(f"{kind}: {(best >= 0.5).sum()} of {len(best)} things have a node at IoU 0.5, mean {best.mean():.3f}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path, nargs="+")
     parser.add_argument("--masks", nargs="+", choices=MASKS, default=["graph", "true"])
     parser.add_argument("--wrong", nargs="+", type=int, default=[0, 20, 40])
     parser.add_argument("--kept", type=Path, default=Path("kept"))
-    parser.add_argument("--choose", action="store_true")
-    parser.add_argument("--nodes", action="store_true")
     arguments = parser.parse_args()
-    if arguments.nodes:
-        print_nodes(arguments.scenes, arguments.masks, arguments.kept)
-    elif arguments.choose:
-        choose_rivals(arguments.scenes, arguments.masks, arguments.kept)
-    else:
-        print_table(arguments.scenes, arguments.masks, arguments.wrong, arguments.kept)
+    print_table(arguments.scenes, arguments.masks, arguments.wrong, arguments.kept)
 
 
 def print_table(folders: list[Path], masks: list[str], wrong: list[int], kept: Path) -> None:

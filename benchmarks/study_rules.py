@@ -1,15 +1,13 @@
 """All rules for one word on the same features: ours with and without objects and refusal, and those of others.
 
     python benchmarks/study_rules.py PLACE... --kept FOLDER --records FILE.jsonl [--clip FOLDER] [--names FOLDER]
-        [--choosing PLACE...] [--wrong 0 20] [--seeds 2] [--trimmed] [--curve FILE.svg]
+        [--choosing PLACE...] [--wrong 0 20] [--seeds 2] [--curve FILE.svg]
 
 PLACE: as of study_answers.py, masks of `graph`; words and embeddings are drawn as there, 20 absent words a trial. The
-rules are those of `suite/rules.py`. --trimmed asks only present words, with values of objects from their masks
-(`suite/trimmed.py`) instead of other rules; its records are a file of their own. Clear words stand a spread or more
-above the best other word for the picture of their things, vague ones less. A fixed cosine is the best for the places
-of --choosing, which no table counts. Intervals are 95 %, over words (`numbers.over_places`). --records: answers of
-the trials that are finished; a run that was stopped goes on. --curve: by the level above which a word is answered,
-the share of absent and of present words that are.
+rules are those of `suite/rules.py`. Clear words stand a spread or more above the best other word for the picture of
+their things, vague ones less. A fixed cosine is the best for the places of --choosing, which no table counts. Intervals
+are 95 %, over words (`numbers.over_places`). --records: answers of the trials that are finished; a run that was stopped
+goes on. --curve: by the level above which a word is answered, the share of absent and of present words that are.
 """
 
 import argparse
@@ -57,11 +55,11 @@ LEVELS: dict[str, Callable[[Record], float]] = {
 }  # fmt: skip
 
 
-def asked(case: Trial, place: Place, words: Vocabulary, trimmed: bool) -> Iterator[Record]:
-    rules = Rules(case, getattr(words, "negatives", None), trimmed)
+def asked(case: Trial, place: Place, words: Vocabulary) -> Iterator[Record]:
+    rules = Rules(case, getattr(words, "negatives", None))
     labels, evidence = place.labels[case.field.gaussian_ids], case.field.evidence
     assert evidence is not None
-    for text in [*case.present, *([] if trimmed else case.absent[:ABSENT])]:
+    for text in [*case.present, *case.absent[:ABSENT]]:
         one, meant = rules.asked(text), case.present.get(text)
         record: Record = {"text": text, "certainty": one.plain.certainty, "missed": one.missed}
         record["cosine"] = peak_score(one.plain.scores)
@@ -75,9 +73,7 @@ def asked(case: Trial, place: Place, words: Vocabulary, trimmed: bool) -> Iterat
         yield record
 
 
-def run(
-    given: Sequence[str], words: Vocabulary, kept: Path, file: Path, wrong: Sequence[int], seeds: int, trimmed: bool
-) -> None:
+def run(given: Sequence[str], words: Vocabulary, kept: Path, file: Path, wrong: Sequence[int], seeds: int) -> None:
     """Append a line to the file for each trial that it does not have yet."""
     finished = {json.dumps(one["trial"]) for one in read(file)}
     for one in given:
@@ -91,7 +87,7 @@ def run(
                     case = trial(place, words, kind, percent / 100, seed)
                     known = {"trial": key, "place": place.name, "kind": kind_of(one), "wrong": percent}
                     with file.open("a") as out:
-                        out.write(json.dumps(known | {"asked": list(asked(case, place, words, trimmed))}) + "\n")
+                        out.write(json.dumps(known | {"asked": list(asked(case, place, words))}) + "\n")
 
 
 def read(file: Path) -> list[Record]:
@@ -182,25 +178,6 @@ def certainties(trials: Sequence[Record]) -> str:
     return markdown(("words", "sure", "maybe", "nothing"), rows)
 
 
-def trims(trials: Sequence[Record]) -> str:
-    """Compare values of objects with the one that counts now, as answered: by pictures and the share of wrong ones."""
-    known = next(one for done in trials for one in done["asked"] if "iou" in one)["iou"]
-    names = [
-        name
-        for name in known
-        if name.startswith(("mean", "trimmed", "masks", "clusters")) and not name.endswith(PRESENT)
-    ]
-    parts = {
-        f"{kind}, {share} % wrong": Answers(
-            [one for one in trials if one["trial"][2] == kind and one["wrong"] == share]
-        )
-        for kind, share in product(KINDS, sorted({one["wrong"] for one in trials}))
-    }
-    rows = [("as it is", *(own.iou("objects", is_present) for own in parts.values()))]
-    rows += [(name, *(own.iou(name, is_present, "objects") for own in parts.values())) for name in names]
-    return markdown(("value of an object", *parts), rows) if names else ""
-
-
 def operating(trials: Sequence[Record]) -> list[Line]:
     """By level, the shares of absent and present words that are answered above it. Marks: sure, and sure or maybe."""
     own, lines = Answers(trials), []
@@ -224,7 +201,7 @@ def report(trials: Sequence[Record], choosing: set[str], curve: Path | None) -> 
         if own:
             places = ", ".join(dict.fromkeys(one["place"].partition(",")[0] for one in own))
             print(f"\n{kind}s{' that choose' if part is chosen and choosing else ''}: {places}\n")
-            print(trims(own) or f"{table(own, chosen)}\n\n{certainties(own)}", flush=True)
+            print(f"{table(own, chosen)}\n\n{certainties(own)}", flush=True)
     if curve is not None:
         title = "Words that are answered, by the level above which they are (percent)"
         drawn = curves(title, "of words that are not there", "of words that are there", operating(judged))
@@ -241,14 +218,13 @@ def main() -> None:
     parser.add_argument("--records", type=Path, required=True, metavar="FILE.jsonl")
     parser.add_argument("--wrong", nargs="+", type=int, default=[0, 20])
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--trimmed", action="store_true")
     parser.add_argument("--curve", type=Path, metavar="FILE.svg")
     arguments = parser.parse_args()
     print(describe())
     for make, folder in ((Clip, arguments.clip), (Names, arguments.names)):
         if folder is not None:
             run([*arguments.choosing, *arguments.places], make(folder), arguments.kept, arguments.records,
-                arguments.wrong, arguments.seeds, arguments.trimmed)  # fmt: skip
+                arguments.wrong, arguments.seeds)  # fmt: skip
     choosing = {f"{Path(one.partition('=')[0]).name}, graph" for one in arguments.choosing}
     report(read(arguments.records), choosing, arguments.curve)
 

@@ -2,8 +2,8 @@
 
 usage: python scripts/make_page_pictures.py DEMO FILM FOLDER
 
-DEMO: what `drsplat demo` wrote. FILM: what `python -m world.moving` wrote. FOLDER: for walk.jpg, trained.jpg and
-moving.jpg.
+DEMO: what `drsplat demo` wrote. FILM: what `python -m world.moving` at 4a01ca08 wrote. FOLDER: for walk.jpg,
+trained.jpg and moving.jpg.
 """
 
 import sys

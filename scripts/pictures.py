@@ -44,14 +44,9 @@ def _words() -> Made:
     )
 
 
-def _city() -> Made:
-    inputs = _viewer().inputs[:-1]
-    return Made("python benchmarks/study_city.py STREET FOLDER", (*inputs, ROOT / "benchmarks" / "study_city.py"))
-
-
 def _photos() -> Made:
     script = ROOT / "scripts" / "make_page_pictures.py"
-    return Made("python scripts/make_page_pictures.py DEMO FILM FOLDER", (script, ROOT / "world" / "moving.py"))
+    return Made("python scripts/make_page_pictures.py DEMO FILM FOLDER", (script,))
 
 
 MADE: dict[str, Made] = {
@@ -61,7 +56,7 @@ MADE: dict[str, Made] = {
     "fill.jpg": Made(
         "study_fill.py room_6 --objects 3 at 50554f8f", (PACKAGE / "authoring" / "editing" / "planes.py",)
     ),
-    "viewer_city.jpg": _city(),
+    "viewer_city.jpg": Made("study_city.py STREET FOLDER at 4a01ca08", _viewer().inputs[:-1]),
     "viewer.jpg": _viewer(),
     "viewer_objects.jpg": _viewer(),
     "viewer_page.jpg": _viewer(),
@@ -96,13 +91,10 @@ MADE: dict[str, Made] = {
         "python -m world.mini.measuring --test test.npz --picture docs/images/mini_confusion.png",
         (MODELS / "mini" / "mini.safetensors",),
     ),
-    "worst_answers.jpg": Made(
-        "python benchmarks/study_worst.py, three of its pictures",
-        (ROOT / "docs" / "answers.json", ROOT / "benchmarks" / "study_worst.py"),
-    ),
+    "worst_answers.jpg": Made("study_worst.py at 4a01ca08, three of its pictures", (ROOT / "docs" / "answers.json",)),
     "worst_ten.jpg": Made(
-        "python benchmarks/study_worst.py --records FILE, eight of its pictures",
-        (ROOT / "benchmarks" / "study_worst.py",),
+        "study_worst.py --records FILE at 4a01ca08, eight of its pictures",
+        (ROOT / "benchmarks" / "suite" / "rules.py",),
     ),
     "refusal.svg": Made(
         "python benchmarks/study_rules.py --curve docs/images/refusal.svg",

@@ -3,7 +3,6 @@
 | rule | selects |
 |---|---|
 | objects, plain | what drsplat does by default, and the same without objects; `present`: nothing is refused |
-| mean, trimmed, masks, clusters | ours, with other values of objects (`trimmed.py`) |
 | best of the list | Gaussians that the word fits better than all other words of the list, by cosine |
 | LERF | relevancy above 0.5, against four words that mean nothing in particular |
 | LangSplat | relevancy above 0.7 of its own range, as that system's evaluation cuts pictures |
@@ -32,7 +31,6 @@ from drsplat.query.thresholds import automatic_threshold, peak_score
 from drsplat.query.wholes import with_objects
 
 from .trials import Trial
-from .trimmed import Wholes
 
 Values = Float32[np.ndarray, " r"]
 Rows = Bool[np.ndarray, " r"]
@@ -44,14 +42,10 @@ ROWS_AT_ONCE = 4096
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """All rules on one trial. negatives: vectors of LERF's four words, None where they are not known.
-
-    trimmed: objects are given other values, instead of other rules.
-    """
+    """All rules on one trial. negatives: vectors of LERF's four words, None where they are not known."""
 
     case: Trial
     negatives: Float32[np.ndarray, "n D"] | None = None
-    trimmed: bool = False
 
     @cached_property
     def scene(self) -> Scene:
@@ -60,10 +54,6 @@ class Rules:
     @cached_property
     def known(self) -> Contrast:
         return contrast(self.scene.field, list_vectors(self.case.encoder))
-
-    @cached_property
-    def wholes(self) -> Wholes:
-        return Wholes(self.case.field, self.known)
 
     def asked(self, text: str) -> "Asked":
         forced = self.scene.ask(Query(text, present=True))
@@ -118,13 +108,10 @@ class Asked:
         assert objects is not None
         values = self.plain.values
         kinds = {"plain": values, "objects": with_objects(values, objects.thing_of(), objects.piece_of())}
-        if self.rules.trimmed:
-            kinds |= dict(self.rules.wholes.answered(self.query, values))
         for name, answered in kinds.items():
             yield name, (answered > self.plain.threshold) & (self.plain.certainty != NOTHING)
             yield name + PRESENT, answered > self.forced.threshold
-        if not self.rules.trimmed:
-            yield from self._others()
+        yield from self._others()
 
     def _others(self) -> Iterator[tuple[str, Rows]]:
         cosines, case = self.plain.scores, self.rules.case

@@ -1,7 +1,6 @@
 """A tileset of ours in CesiumJS, in a real browser: where it lies, which level is loaded, and what is shown."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,7 @@ def wall() -> Gaussians:
 
 
 @pytest.mark.parametrize(("error", "splats"), [(0.01, COUNT), (100.0, ROWS)])
-def test_cesium_draws_our_tilesets(error: float, splats: int, chromium: Any, tmp_path: Path) -> None:
+def test_cesium_draws_our_tilesets(error, splats, chromium, tmp_path):
     """From the south: what is above is above, west is left. A large error allows for the coarsest level."""
     place = Georeference(8.5, 47.4, 400.0, NORTH_UP, 2.0)
     write_tiles3d(tmp_path / "out", LabelledScene(wall()), georeference=place, rows=ROWS)

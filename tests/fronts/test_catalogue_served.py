@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from catalogued import write_scene
-from command_line import Capture, error_of
+from command_line import error_of
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
@@ -52,7 +52,7 @@ def asked(app: Any, method: str, path: str, **given: Any) -> Any:
 
 
 @pytest.mark.slow
-def test_matches_of_all_scenes_with_their_pictures(app: Any, folder: Path) -> None:
+def test_matches_of_all_scenes_with_their_pictures(app, folder):
     answer = asked(app, "POST", "/catalogue/ask", json={"text": "mug"}).json()
     assert [one["scene"] for one in answer["matches"]] == ["kitchen", "o'hara"]
     assert (answer["measure"], answer["threshold_rule"], answer["exact"]) == ("cosine", "encoder", True)
@@ -62,7 +62,7 @@ def test_matches_of_all_scenes_with_their_pictures(app: Any, folder: Path) -> No
     assert picture.content == Catalogue.open(folder / "flats.catalogue").thumbnail("o'hara", 0)
 
 
-def test_filters_and_what_is_not_there(app: Any) -> None:
+def test_filters_and_what_is_not_there(app):
     def scenes(**more: Any) -> list[str]:
         answer = asked(app, "POST", "/catalogue/ask", json={"text": "mug", **more})
         return [one["scene"] for one in answer.json()["matches"]]
@@ -78,7 +78,7 @@ def test_filters_and_what_is_not_there(app: Any) -> None:
     assert (nothing["matches"], nothing["advice"].split(":")[0]) == ([], "no match in any scene")
 
 
-def test_the_scenes_of_it(app: Any, folder: Path) -> None:
+def test_the_scenes_of_it(app, folder):
     listed = asked(app, "GET", "/catalogue")
     assert [(one["name"], one["num_objects"], one["state"]) for one in listed.json()["scenes"]] == [
         ("kitchen", 3, "current"), ("o'hara", 3, "current"),
@@ -105,41 +105,41 @@ def test_the_scenes_of_it(app: Any, folder: Path) -> None:
         ({"image": "no base64"}, "expected base64"),
     ],
 )
-def test_requests_that_make_no_sense(app: Any, given: dict[str, Any], said: str) -> None:
+def test_requests_that_make_no_sense(app, given, said):
     answer = asked(app, "POST", "/catalogue/ask", json=given)
     assert answer.status_code == 422
     assert said in answer.json()["error"]
 
 
-def test_pictures_that_are_not_there(app: Any, folder: Path) -> None:
+def test_pictures_that_are_not_there(app, folder):
     for which in ({"scene": "nobody", "object_id": 0}, {"scene": "kitchen", "object_id": 99}):
         answer = asked(app, "GET", "/catalogue/picture", params=which)
         assert (answer.status_code, str(folder) in answer.text) == (422, False)
     assert asked(app, "GET", "/catalogue/picture", params={"scene": "kitchen", "object_id": -1}).status_code == 422
 
 
-def test_no_catalogue_no_routes(folder: Path) -> None:
+def test_no_catalogue_no_routes(folder):
     made = create_app(Settings(str(folder / "scenes")))
     with closing(made.state.bench):
         assert asked(made, "POST", "/catalogue/ask", json={"text": "mug"}).status_code == 404
         assert not [path for path in made.openapi()["paths"] if "catalogue" in path]
 
 
-def test_its_words_are_those_of_the_glossary(app: Any) -> None:
+def test_its_words_are_those_of_the_glossary(app):
     document = app.openapi()
     assert {"object_id", "scenes"} <= set(schema_keys(document))
     assert not offenders(schema_keys(document), retired())
     assert not [text for text in descriptions(document) if "thing" in text.replace("something", "").split()]
 
 
-def test_a_catalogue_that_is_none_is_told_at_the_start(folder: Path, capsys: Capture) -> None:
+def test_a_catalogue_that_is_none_is_told_at_the_start(folder, capsys):
     scenes = str(folder / "scenes")
     assert "no catalogue is here" in error_of(capsys, "serve", scenes, "--catalogue", folder / "none")
     assert "expected a catalogue" in error_of(capsys, "serve", scenes, "--catalogue", scenes)
 
 
 @pytest.mark.slow
-def test_language_models_search_all_scenes(folder: Path) -> None:
+def test_language_models_search_all_scenes(folder):
     pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
     from drsplat.fronts.serving.limits import Limits
     from drsplat.fronts.serving.metrics import Metrics

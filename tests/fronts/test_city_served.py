@@ -68,24 +68,24 @@ def both(folder: Path, act: str, given: dict[str, Any]) -> list[Reply]:
 
 
 @pytest.mark.parametrize(("act", "given"), ASKED)
-def test_routes_answer_as_of_one_file(folder: Path, act: str, given: dict[str, Any]) -> None:
+def test_routes_answer_as_of_one_file(folder, act, given):
     tiled, whole = both(folder, act, given)
     assert whole.status == 200, whole.body
     assert tiled == whole
 
 
-def test_every_route_is_asked() -> None:
+def test_every_route_is_asked():
     assert {act for act, _ in ASKED} | {"when", "export", "tool"} == set(ANSWERS)
 
 
 @pytest.mark.parametrize(("tool", "arguments"), TOOLS)
-def test_tools_answer_as_of_one_file(folder: Path, tool: str, arguments: dict[str, Any]) -> None:
+def test_tools_answer_as_of_one_file(folder, tool, arguments):
     tiled, whole = both(folder, "tool", {"tool": tool, "name": "city", "arguments": arguments})
     assert whole.status == 200, whole.body
     assert tiled == whole
 
 
-def test_what_needs_the_whole_is_refused_with_the_way_out(folder: Path) -> None:
+def test_what_needs_the_whole_is_refused_with_the_way_out(folder):
     tiled, whole = both(folder, "export", {"format": "glb"})
     assert (tiled.status, whole.status) == (422, 200)
     said = json.loads(tiled.body)["error"]
@@ -95,7 +95,7 @@ def test_what_needs_the_whole_is_refused_with_the_way_out(folder: Path) -> None:
     assert (still.status, "stands still" in json.loads(still.body)["error"]) == (422, True)
 
 
-def test_a_damaged_tile_is_a_fault_of_the_scene_and_names_no_folder(folder: Path, tmp_path: Path) -> None:
+def test_a_damaged_tile_is_a_fault_of_the_scene_and_names_no_folder(folder, tmp_path):
     place = Path(shutil.copytree(folder / "tiled", tmp_path / "scenes" / "tiled")).parent
     scenes = SceneFolder(place)
     assert asked(scenes, "tiled", "locate", {"text": "red mug"}).status == 200

@@ -17,7 +17,6 @@ pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installe
 from browsing import a_page, needs_chromium
 from cities import write_city
 from drsplat.authoring.filming.looking import Standpoints, beside
-from drsplat.errors import FormatError, InputError
 from drsplat.formats.tiles import Tiles
 from drsplat.fronts.viewing.bare import is_bare, open_bare
 from drsplat.fronts.viewing.live.arrays import tile_paint, tile_splats
@@ -28,6 +27,7 @@ from drsplat.fronts.viewing.shown import shown_part
 from drsplat.fronts.viewing.tiled import TiledSession, session_of
 from drsplat.query import Scene, open_scene
 from live_clients import KINDS, Viewer, served
+from refusing import malformed, refused
 from scenes import look_at_view
 from toy_capture import THINGS
 
@@ -75,10 +75,10 @@ def arrays_of(reply: Any) -> dict[str, np.ndarray]:
     return {name: np.frombuffer(reply.content, KINDS[kind], count, at) for name, kind, at, count in layout}
 
 
-def test_a_city_is_open_before_a_tile_is_read(city: Path) -> None:
+def test_a_city_is_open_before_a_tile_is_read(city):
     with patch.object(Tiles, "_read", side_effect=AssertionError("a tile was read")):
         viewer = Viewer(session_of(opened(city / "tiled"), 200))
-        header = viewer.get("/view/header").json()
+        header = viewer.header()
         assert viewer.get("/view/state").json()["mode"] == "as it is"
         viewer.close()
     assert sum(tile["rows"] for tile in header["tiles"]["tiles"]) == 300
@@ -87,7 +87,7 @@ def test_a_city_is_open_before_a_tile_is_read(city: Path) -> None:
     assert "features" not in header["modes"]
 
 
-def test_parts_are_the_whole_each_gaussian_once(viewer: Viewer, whole: Session) -> None:
+def test_parts_are_the_whole_each_gaussian_once(viewer, whole):
     session = viewer.session
     assert isinstance(session, TiledSession)
     rows = np.concatenate([session.rows_of(part) for part in PARTS])
@@ -100,7 +100,7 @@ def test_parts_are_the_whole_each_gaussian_once(viewer: Viewer, whole: Session) 
     assert_array_equal(arrays["opacity"], (opacities * 255 + 0.5).astype(np.uint8))
 
 
-def test_the_coarse_part_of_a_tile_has_what_is_most_significant(tiled: TiledSession) -> None:
+def test_the_coarse_part_of_a_tile_has_what_is_most_significant(tiled):
     from drsplat.scene.gaussians import significance
 
     for number, tile in enumerate(tiled.tiles.tiles):
@@ -110,10 +110,10 @@ def test_the_coarse_part_of_a_tile_has_what_is_most_significant(tiled: TiledSess
         assert weight[coarse].min() >= np.delete(weight, coarse).max()
 
 
-def test_answers_paint_parts_as_they_paint_the_whole(viewer: Viewer, whole: Session) -> None:
+def test_answers_paint_parts_as_they_paint_the_whole(viewer, whole):
     session = viewer.session
     assert isinstance(session, TiledSession)
-    viewer.do("ask", text="red mug; blue plate")
+    viewer.ask("red mug; blue plate")
     whole.ask("red mug; blue plate")
     arrays = arrays_of(viewer.get("/view/tiles-paint", parts=",".join(map(str, PARTS))))
     rows = np.concatenate([session.rows_of(part) for part in PARTS])
@@ -124,7 +124,7 @@ def test_answers_paint_parts_as_they_paint_the_whole(viewer: Viewer, whole: Sess
 
 
 @pytest.mark.parametrize("mode", [Mode.SCENE, Mode.ANSWER, Mode.HEAT, Mode.OBJECTS, Mode.CLASSES])
-def test_pictures_have_the_colours_of_the_whole(tiled: TiledSession, whole: Session, mode: Mode) -> None:
+def test_pictures_have_the_colours_of_the_whole(tiled, whole, mode):
     view = whole.scene.views[0]
     for session in (tiled, whole):
         session.ask("red mug")
@@ -133,14 +133,14 @@ def test_pictures_have_the_colours_of_the_whole(tiled: TiledSession, whole: Sess
     assert_array_equal(picture_of(tiled, view), picture_of(whole, view))
 
 
-def test_classes_come_with_their_colours(viewer: Viewer) -> None:
+def test_classes_come_with_their_colours(viewer):
     viewer.do("classify", text="red mug, blue plate")
     rgb = arrays_of(viewer.get("/view/tiles-paint", parts="0,1,16,17"))["rgb"].reshape(-1, 3)
     assert len(np.unique(rgb, axis=0)) == 2
 
 
 @pytest.mark.parametrize("eye", [(0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, 0.0, 0.1), (0.3, 3.0, -1.0)])
-def test_a_click_meets_what_it_meets_in_the_whole(tiled: TiledSession, whole: Session, eye: tuple[float, ...]) -> None:
+def test_a_click_meets_what_it_meets_in_the_whole(tiled, whole, eye):
     for target in (*SURFACES, np.array([0.0, 0.0, 5.0])):
         this = [
             session.click(session.shown.frame.shown(np.array(eye)), target - eye) for session in (tiled, whole)
@@ -152,7 +152,7 @@ def test_a_click_meets_what_it_meets_in_the_whole(tiled: TiledSession, whole: Se
 
 
 @pytest.mark.parametrize("length", [1e-307, 5e-324, 1e300])
-def test_a_ray_of_any_length_goes_the_same_way(tiled: TiledSession, whole: Session, length: float) -> None:
+def test_a_ray_of_any_length_goes_the_same_way(tiled, whole, length):
     for session in (tiled, whole):
         origin = session.shown.frame.shown(np.array([-0.7, -4.0, 0.0]))
         this = [session.click(origin, np.array([0.0, size, 0.0])) for size in (1.0, length)]
@@ -161,7 +161,7 @@ def test_a_ray_of_any_length_goes_the_same_way(tiled: TiledSession, whole: Sessi
         assert this[0].gaussian_id == this[1].gaussian_id
 
 
-def test_what_is_outlined_is_selected_as_in_the_whole(tiled: TiledSession, whole: Session) -> None:
+def test_what_is_outlined_is_selected_as_in_the_whole(tiled, whole):
     view, outline = (
         look_at_view((0.0, -4.0, 1.0), width=96, height=72),
         np.array([[0, 0], [48, 0], [48, 72], [0, 72.0]]),
@@ -172,8 +172,8 @@ def test_what_is_outlined_is_selected_as_in_the_whole(tiled: TiledSession, whole
     assert_array_equal(tiled.results[0].matches[0].center, whole.results[0].matches[0].center)
 
 
-def test_annotations_are_kept_and_edits_refused(viewer: Viewer) -> None:
-    viewer.do("ask", text="red mug")
+def test_annotations_are_kept_and_edits_refused(viewer):
+    viewer.ask("red mug")
     state = viewer.do("annotate", text="here", at="selection")
     assert [one["text"] for one in state["annotations"]] == ["here"]
     for act in ({"act": "edit", "change": "remove"}, {"act": "undo"}, {"act": "restore"}):
@@ -191,20 +191,20 @@ def test_annotations_are_kept_and_edits_refused(viewer: Viewer) -> None:
         ("18", "expected numbers below 18"), ("1,1", "different numbers"), (",".join("0" * 70), "1 to 64 different"),
     ],
 )  # fmt: skip
-def test_parts_that_are_not_there_are_refused(viewer: Viewer, parts: str, said: str) -> None:
+def test_parts_that_are_not_there_are_refused(viewer, parts, said):
     for path in ("/view/tiles", "/view/tiles-paint"):
         reply = viewer.get(path, parts=parts)
         assert (reply.status_code, said in reply.text) == (422, True), reply.text
 
 
-def test_a_scene_in_memory_has_no_parts(whole: Session) -> None:
+def test_a_scene_in_memory_has_no_parts(whole):
     viewer = Viewer(whole)
-    assert viewer.get("/view/header").json()["tiles"] is None
+    assert viewer.header()["tiles"] is None
     assert "not in tiles" in viewer.get("/view/tiles", parts="0").text
     viewer.close()
 
 
-def test_a_damaged_tile_is_said_and_the_others_come(city: Path, tmp_path: Path) -> None:
+def test_a_damaged_tile_is_said_and_the_others_come(city, tmp_path):
     folder = Path(shutil.copytree(city / "tiled", tmp_path / "tiled"))
     viewer = Viewer(session_of(opened(folder), 200))
     (folder / "city.tiles/tile00003.colours.safetensors").unlink()
@@ -212,24 +212,24 @@ def test_a_damaged_tile_is_said_and_the_others_come(city: Path, tmp_path: Path) 
     assert "tile00003" in reply.text
     assert str(tmp_path) not in reply.text
     assert len(arrays_of(viewer.get("/view/tiles", parts="4"))["opacity"])
-    with pytest.raises(FormatError, match="tile00003"):
+    with malformed("tile00003"):
         tile_splats(viewer.shared.stage, [6])
     assert len(json.loads(tile_paint(viewer.shared.stage, [6]).layout))  # answers need no colours
     viewer.close()
 
 
-def test_tiles_without_a_field_can_be_looked_at(city: Path) -> None:
+def test_tiles_without_a_field_can_be_looked_at(city):
     path = city / "tiled/city.tiles"
     assert is_bare(path)
     session = session_of(open_bare(path), 300)
     assert isinstance(session, TiledSession)
     assert session.modes == (Mode.SCENE,)
     assert len(session.part(0)[1]) == session.num_coarse(session.tiles.tiles[0])
-    with pytest.raises(InputError, match="nothing can be asked"):
+    with refused("nothing can be asked"):
         session.ask("mug")
 
 
-def test_many_cameras_as_arrays_give_the_same_place(whole: Session) -> None:
+def test_many_cameras_as_arrays_give_the_same_place(whole):
     views = whole.scene.views
     for center in SURFACES:
         stands = Standpoints.of(views), views
@@ -242,7 +242,7 @@ DONE = "() => window.drsplat && drsplat.splats && drsplat.isWhole && !drsplat.ti
 
 
 @needs_chromium
-def test_the_client_holds_what_the_camera_is_near_to(city: Path, chromium: Any) -> None:
+def test_the_client_holds_what_the_camera_is_near_to(city, chromium):
     """With room for 200 of 300 Gaussians: all tiles coarsely, and wholly those of the ball in front."""
     session = session_of(opened(city / "tiled"), 200)
     with served(session) as address, a_page(chromium) as page:

@@ -1,7 +1,6 @@
 """The command line: what it prints where, its exit codes, and that it can be killed."""
 
 import json
-import os
 import shlex
 import shutil
 import signal
@@ -13,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import Capture, Line, answer_of, error_of, text_of
 from drsplat import EncoderIdentity, WordEncoder, cli, load_field, read_gaussians, read_views, write_gaussians
 from drsplat.base.progress import track
 from drsplat.cli import VERBS, main
-from drsplat.evaluation.demo import story as household
 from drsplat.evaluation.demo.story import PROBES
 from drsplat.field.codes import save_codebook
 from drsplat.formats.npy import write_npy
@@ -34,6 +33,16 @@ from twins.page_codes import read_page
 def room(story: Story, demo_folder: Path) -> Path:
     """The small demo's files."""
     return demo_folder
+
+
+@pytest.fixture
+def inspect(capsys: Capture) -> Line:
+    return Line(capsys, "inspect")
+
+
+@pytest.fixture
+def locate(room: Path, capsys: Capture) -> Line:
+    return Line(capsys, "locate", room / "room.field")
 
 
 def registering(room: Path, output: Path, codebook: Path | None = None) -> list[object]:
@@ -56,12 +65,12 @@ def pixels_of(path: Path | str) -> np.ndarray:
         return np.asarray(picture, int)
 
 
-def test_help_is_a_word_too(capsys: Capture) -> None:
+def test_help_is_a_word_too(capsys):
     for line in ([], ["locate"]):
         assert text_of(capsys, "help", *line) == text_of(capsys, *line, "--help")
 
 
-def test_what_is_no_query_is_refused_in_words(story: Story, room: Path, tmp_path: Path) -> None:
+def test_what_is_no_query_is_refused_in_words(story, room, tmp_path):
     """In a process without the tests' checks of types."""
     story.field.save(tmp_path / "room.field")
     asked = f"import drsplat; drsplat.open_scene('room.field', scene={str(room / 'scene.ply')!r}).locate(5)"
@@ -70,18 +79,18 @@ def test_what_is_no_query_is_refused_in_words(story: Story, room: Path, tmp_path
 
 
 @pytest.mark.parametrize("verb", ["", *VERBS])
-def test_help_is_complete(verb: str, capsys: Capture) -> None:
+def test_help_is_complete(verb, capsys):
     out = text_of(capsys, *([verb] if verb else []), "--help")
     assert ("examples:" in out and "--json" in out) if verb else all(name in out for name in VERBS)
     assert "None" not in out
 
 
-def test_level_help_warns_of_the_trap(capsys: Capture) -> None:
+def test_level_help_warns_of_the_trap(capsys):
     out = " ".join(text_of(capsys, "register", "--help-all").split())
     assert "level 1 is *small* in features made by LangSplat" in out
 
 
-def test_version(capsys: Capture) -> None:
+def test_version(capsys):
     assert text_of(capsys, "--version").startswith("drsplat ")
 
 
@@ -100,30 +109,30 @@ def test_version(capsys: Capture) -> None:
         ["render", "x", "--views", "x", "--all", "--threshold", "inf"],
     ],
 )
-def test_bad_usage_is_2(argv: list[str], capsys: Capture) -> None:
+def test_bad_usage_is_2(argv, capsys):
     assert "--help" in error_of(capsys, *argv, code=2)
 
 
-def test_bad_usage_is_json_too(capsys: Capture) -> None:
+def test_bad_usage_is_json_too(capsys):
     answer = answer_of(capsys, "register", "scene.ply", code=2)
     assert answer["kind"] == "usage"
     assert "CAPTURE" in answer["error"]
 
 
-def test_an_error_is_1_a_line_and_json(tmp_path: Path, capsys: Capture) -> None:
-    assert "there is no such" in error_of(capsys, "inspect", tmp_path / "nothing")
-    answer = answer_of(capsys, "inspect", tmp_path / "nothing", code=1)
+def test_an_error_is_1_a_line_and_json(tmp_path, inspect):
+    assert "there is no such" in inspect.error(tmp_path / "nothing")
+    answer = inspect(tmp_path / "nothing", code=1)
     assert answer["kind"] == "InputError"
     (tmp_path / "bad.ply").write_bytes(b"ply\nrubbish")
-    assert answer_of(capsys, "inspect", tmp_path / "bad.ply", code=1)["kind"] == "FormatError"
+    assert inspect(tmp_path / "bad.ply", code=1)["kind"] == "FormatError"
 
 
-def test_debug_shows_the_traceback(tmp_path: Path) -> None:
+def test_debug_shows_the_traceback(tmp_path):
     with pytest.raises(ValueError, match="there is no such"):
         main(["inspect", str(tmp_path / "nothing"), "--debug"])
 
 
-def test_interrupt_is_130(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_interrupt_is_130(monkeypatch, capsys):
     def interrupted(_: object) -> int:
         raise KeyboardInterrupt
 
@@ -133,9 +142,7 @@ def test_interrupt_is_130(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> N
 
 
 @pytest.mark.parametrize("debug", [[], ["--debug"]])
-def test_warnings_of_libraries_are_for_programmers(
-    debug: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_warnings_of_libraries_are_for_programmers(debug, tmp_path, monkeypatch, capsys):
     """But NumPy's of numbers that went wrong are said, once, in our words."""
 
     def run(_: object) -> dict[str, object]:
@@ -153,25 +160,23 @@ def test_warnings_of_libraries_are_for_programmers(
     assert said.count("drsplat: warning: some numbers became too large") == (0 if debug else 1)
 
 
-def test_closed_pipe_is_quiet(room: Path) -> None:
+def test_closed_pipe_is_quiet(room):
     """Like `drsplat inspect --json ... | head -c 0`: the reader has gone before anything is written."""
     command = [sys.executable, "-m", "drsplat", "inspect", str(room), "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stderr is not None
     process.stdout.close()
     assert process.stderr.read() == ""
     process.stderr.close()
     assert process.wait() == cli.PIPE_CLOSED
 
 
-def test_a_warning_is_one_line_on_stderr(room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_warning_is_one_line_on_stderr(room, tmp_path, capsys, inspect):
     shutil.copytree(room / "sparse", tmp_path / "sparse")
     (tmp_path / "images").mkdir()
     before = warnings.showwarning
-    answer = answer_of(capsys, "inspect", tmp_path)
+    answer = inspect(tmp_path)
     assert answer["num_photos"] == 0
-    text_of(capsys, "inspect", tmp_path)
+    inspect.text(tmp_path)
     main(["inspect", str(tmp_path)])
     err = capsys.readouterr().err
     assert err.startswith("drsplat: warning: ")
@@ -179,43 +184,43 @@ def test_a_warning_is_one_line_on_stderr(room: Path, tmp_path: Path, capsys: Cap
     assert warnings.showwarning is before
 
 
-def test_inspect_tells_what_things_are(room: Path, story: Story, capsys: Capture) -> None:
-    scene = answer_of(capsys, "inspect", room / "scene.ply")
+def test_inspect_tells_what_things_are(room, story, inspect):
+    scene = inspect(room / "scene.ply")
     assert (scene["kind"], scene["num_gaussians"]) == ("scene", len(story.gaussians))
     assert scene["fingerprint"] == story.gaussians.fingerprint
-    np.testing.assert_allclose(scene["lowest"], story.gaussians.means.min(0))
+    assert_allclose(scene["lowest"], story.gaussians.means.min(0))
     assert scene["opacity"]["p50"] == pytest.approx(np.median(story.gaussians.opacities), rel=1e-5)
-    folder = answer_of(capsys, "inspect", room)  # a field, its scene and its photos
+    folder = inspect(room)  # a field, its scene and its photos
     assert (folder["kind"], folder["num_views"], folder["num_photos"]) == ("scene folder", 12, 12)
     assert (folder["field"], folder["scene"]) == (str(room / "room.field"), str(room / "scene.ply"))
     assert (folder["num_registered"], folder["num_gaussians"]) == (len(story.field), len(story.gaussians))
-    np.testing.assert_allclose(folder["views"][0]["K"], story.views[0].K)
-    features = answer_of(capsys, "inspect", room / "language_features")
+    assert_allclose(folder["views"][0]["K"], story.views[0].K)
+    features = inspect(room / "language_features")
     assert (features["kind"], features["dim"]) == ("features", 512)
     assert features["masks_per_level"]["large"] == story.num_masks
-    field = answer_of(capsys, "inspect", room / "room.field")
+    field = inspect(room / "room.field")
     assert (field["kind"], field["num_registered"]) == ("field", len(story.field))
     assert field["encoder"] == WordEncoder.identity.name
     assert sum(field["file_bytes"].values()) > 100 * len(story.field)
     for path in ("scene.ply", "", "language_features", "room.field"):
-        assert str(room / path) in text_of(capsys, "inspect", room / path).replace("\n", "")
+        assert str(room / path) in inspect.text(room / path).replace("\n", "")
 
 
-def test_inspect_knows_a_vocabulary_from_cameras(room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_inspect_knows_a_vocabulary_from_cameras(room, tmp_path, inspect):
     words = tmp_path / "words.json"
     words.write_text(json.dumps({"frames": [1, 0, 0], "red mug": [0.0, 1.0, 0.0]}))
-    vocabulary = answer_of(capsys, "inspect", words)
+    vocabulary = inspect(words)
     assert (vocabulary["kind"], vocabulary["dim"]) == ("vocabulary", 3)
     assert vocabulary["texts"] == ["frames", "red mug"]
     cameras = tmp_path / "some_cameras.json"
     write_cameras_json(cameras, read_views(room))
-    assert answer_of(capsys, "inspect", cameras)["kind"] == "capture"
+    assert inspect(cameras)["kind"] == "capture"
     frameless = tmp_path / "transforms.json"
     frameless.write_text("{}")
-    assert "frames: expected a list" in error_of(capsys, "inspect", frameless)
+    assert "frames: expected a list" in inspect.error(frameless)
 
 
-def test_register_refuses_what_is_no_field_before_it_works(room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_register_refuses_what_is_no_field_before_it_works(room, tmp_path, capsys):
     (tmp_path / "notes").mkdir()
     argv = registering(room, tmp_path / "notes")
     assert "not ours to replace" in error_of(capsys, *argv, "--overwrite")
@@ -223,9 +228,7 @@ def test_register_refuses_what_is_no_field_before_it_works(room: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_register_counts_the_coarse_id_of_residual_codes(
-    room: Path, story: Story, tmp_path: Path, capsys: Capture
-) -> None:
+def test_register_counts_the_coarse_id_of_residual_codes(room, story, tmp_path, capsys):
     plain, path = story.field.codebook, tmp_path / "residual.safetensors"
     save_codebook(replace(plain, coarse=np.zeros((1, plain.dim), np.float32)), path)
     report = answer_of(capsys, *registering(room, tmp_path / "a.field", path))
@@ -235,7 +238,7 @@ def test_register_counts_the_coarse_id_of_residual_codes(
     )
 
 
-def test_register_reports_and_refuses_to_overwrite(room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_register_reports_and_refuses_to_overwrite(room, tmp_path, capsys):
     output = tmp_path / "a.field"
     options = ["--encoder-name", "drsplat-words", "--code", "pq"]
     report = answer_of(capsys, *registering(room, output), *options)
@@ -243,7 +246,6 @@ def test_register_reports_and_refuses_to_overwrite(room: Path, tmp_path: Path, c
     assert report["num_gaussians"] == field.num_gaussians
     assert report["num_registered"] == len(field)
     assert report["num_views"] == 12
-    assert field.evidence is not None
     assert report["num_masks"] == field.evidence.weights.shape[1]
     assert report["num_weights"] == field.evidence.weights.nnz
     assert report["field_bytes"] == sum(len(content) for content in files_of(output).values())
@@ -262,7 +264,7 @@ def test_register_reports_and_refuses_to_overwrite(room: Path, tmp_path: Path, c
 
 
 @pytest.mark.slow
-def test_register_takes_the_smaller_code(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+def test_register_takes_the_smaller_code(room, story, tmp_path, capsys, inspect):
     output, named = tmp_path / "a.field", ("--encoder-name", "drsplat-words")
     report = answer_of(capsys, *registering(room, output), *named)
     assert (report["code"], report["atoms_per_row"], report["bytes_per_gaussian"]) == ("mixture", 4, 14)
@@ -270,7 +272,7 @@ def test_register_takes_the_smaller_code(room: Path, story: Story, tmp_path: Pat
     query = WordEncoder().encode_texts(["red mug"])[0]
     errors = field.scores(query) - story.field.scores(query)
     assert np.sqrt((errors**2).mean()) < 0.01
-    listed = answer_of(capsys, "inspect", output)
+    listed = inspect(output)
     assert (listed["code"], listed["num_atoms"]) == ("mixture", report["num_atoms"])
     finer = answer_of(capsys, *registering(room, output), *named, "--atoms", "8", "--overwrite")
     assert finer["bytes_per_gaussian"] == 26
@@ -280,7 +282,7 @@ def test_register_takes_the_smaller_code(room: Path, story: Story, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_register_takes_the_names_that_others_use(room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_register_takes_the_names_that_others_use(room, tmp_path, capsys):
     options = ["--feature-level", "3", "--topk", "all", "--subvectors", "32", "--max-side", "160"]
     report = answer_of(capsys, *registering(room, tmp_path / "b.field"), *options, "--threads", "1")
     assert (report["topk"], report["num_subvectors"]) == (None, 32)
@@ -303,9 +305,7 @@ main({argv})
 """
 
 
-def test_a_killed_registration_goes_on_to_the_same_field(
-    room: Path, codebook: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_killed_registration_goes_on_to_the_same_field(room, codebook, tmp_path, capsys):
     output = tmp_path / "killed.field"
     argv = [*map(str, registering(room, output, codebook))]
     killed = subprocess.run([sys.executable, "-c", KILLED_AFTER.format(count=5, argv=argv)], check=False)
@@ -322,9 +322,7 @@ def test_a_killed_registration_goes_on_to_the_same_field(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [12, 3], ids=["none is removed", "some are"])
-def test_a_registration_killed_while_its_parts_are_removed_is_complete(
-    kept: int, room: Path, codebook: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_registration_killed_while_its_parts_are_removed_is_complete(kept, room, codebook, tmp_path, capsys):
     output, parts = tmp_path / "killed.field", tmp_path / "killed.field.parts"
     argv = registering(room, output, codebook)
     assert not answer_of(capsys, *argv, "--parts", parts)["was_complete"]
@@ -340,7 +338,7 @@ def test_a_registration_killed_while_its_parts_are_removed_is_complete(
 
 
 @pytest.mark.slow
-def test_parts_of_other_settings_are_not_used(room: Path, codebook: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_parts_of_other_settings_are_not_used(room, codebook, tmp_path, capsys):
     parts = ["--parts", tmp_path / "parts", "--overwrite"]
     argv = [*registering(room, tmp_path / "a.field", codebook), *parts]
     assert answer_of(capsys, *argv, "--topk", "2")["num_views_reused"] == 0
@@ -350,71 +348,51 @@ def test_parts_of_other_settings_are_not_used(room: Path, codebook: Path, tmp_pa
     assert answer_of(capsys, *argv)["num_views_reused"] == 12
 
 
-def test_query_in_words(room: Path, story: Story, capsys: Capture) -> None:
+def test_query_in_words(room, story, locate):
     scene = ["--scene", room / "scene.ply"]
-    answer = answer_of(capsys, "locate", room / "room.field", "blue cup", *scene)
+    answer = locate("blue cup", *scene)
     assert (answer["num_matches"], answer["measure"]) == (1, "cosine")
     assert answer["threshold"] == WordEncoder.threshold
     truth = story.gaussians.means[story.room.members("blue mug")]
     thing = answer["matches"][0]
-    np.testing.assert_allclose(thing["center"], (truth.min(0) + truth.max(0)) / 2, atol=0.03)
+    assert_allclose(thing["center"], (truth.min(0) + truth.max(0)) / 2, atol=0.03)
     assert thing["support"][0]["view"].startswith("photo_")
     assert 0 < thing["support"][0]["share"] <= 1
     assert answer["score_range"][0] < answer["score_p99"] <= answer["score_range"][1] <= 1
-    out = text_of(capsys, "locate", room / "room.field", "blue cup", *scene)
+    out = locate.text("blue cup", *scene)
     assert "1 match of 'blue cup'" in out
     assert "threshold 0.6" in out
 
 
-def test_query_that_finds_nothing_says_so(room: Path, capsys: Capture) -> None:
-    argv = ["locate", room / "room.field", "elephant", "--scene", room / "scene.ply"]
-    answer = answer_of(capsys, *argv)
+def test_query_that_finds_nothing_says_so(room, locate):
+    nothing = locate.plus("--scene", room / "scene.ply")
+    answer = nothing("elephant")
     assert (answer["num_matches"], answer["matches"], answer["num_selected"]) == (0, [], 0)
     assert answer["instead"]
-    text = text_of(capsys, *argv)
+    text = nothing.text("elephant")
     assert text.startswith("No match for 'elephant'. The best place has a cosine of ")
     assert f"below the threshold of 0.60. Words that match here: {', '.join(answer['instead'])}." in text
     for word in answer["instead"]:
-        assert answer_of(capsys, *argv[:2], word, *argv[3:])["instead"] == []
+        assert nothing(word)["instead"] == []
 
 
-def test_specks_can_be_left_out_or_kept(room: Path, capsys: Capture) -> None:
-    argv = ["locate", room / "room.field", "mug", "--scene", room / "scene.ply", "--min-gaussians"]
-    larger, smaller = (t["num_gaussians"] for t in answer_of(capsys, *argv, 40)["matches"])
-    only_one = answer_of(capsys, *argv, max(larger, smaller))["matches"]
-    assert [thing["num_gaussians"] for thing in only_one] == [max(larger, smaller)]
-    assert larger != smaller
-
-
-def test_query_by_vector_equals_query_in_words(room: Path, tmp_path: Path, capsys: Capture) -> None:
-    write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
-    by_vector = answer_of(capsys, "locate", room / "room.field", "--vector", tmp_path / "q.npy", "--threshold", 0.6)
-    in_words = answer_of(capsys, "locate", room / "room.field", "ball")
-    assert by_vector["num_selected"] == in_words["num_selected"] > 0
-    assert by_vector["score_range"] == in_words["score_range"]
-    default = answer_of(capsys, "locate", room / "room.field", "--vector", tmp_path / "q.npy")
-    assert default["threshold_rule"] == "auto"
-    assert default["num_selected"] == pytest.approx(in_words["num_selected"], rel=0.2)
-    assert by_vector["matches"] is None
-
-
-def test_query_by_relevancy(room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_query_by_relevancy(room, tmp_path, locate):
     field = load_field(room / "room.field")
     encoder = WordEncoder()
     negatives = encoder.encode_texts(["object", "things", "stuff", "texture"])
     expected = field.relevancy(encoder.encode_texts(["ball"])[0], negatives)
-    answer = answer_of(capsys, "locate", room / "room.field", "ball", "--relevancy")
+    answer = locate("ball", "--relevancy")
     assert (answer["measure"], answer["threshold"]) == ("relevancy", 0.5)
-    np.testing.assert_allclose(answer["score_range"], [expected.min(), expected.max()], rtol=1e-6)
+    assert_allclose(answer["score_range"], [expected.min(), expected.max()], rtol=1e-6)
     assert answer["num_selected"] == (expected > 0.5).sum()
     write_npy(tmp_path / "n.npy", negatives)
-    same = answer_of(capsys, "locate", room / "room.field", "ball", "--negatives", tmp_path / "n.npy")
+    same = locate("ball", "--negatives", tmp_path / "n.npy")
     assert same["score_range"] == answer["score_range"]
-    other = answer_of(capsys, "locate", room / "room.field", "ball", "--negatives", "orange, floor")
+    other = locate("ball", "--negatives", "orange, floor")
     assert other["score_range"][1] < answer["score_range"][1]
 
 
-def test_query_needs_the_right_encoder(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+def test_query_needs_the_right_encoder(room, story, tmp_path, capsys, locate):
     output, codebook = tmp_path / "clip.field", tmp_path / "clip.safetensors"
     encoder = EncoderIdentity("ViT-B-16/any", 512)
     save_codebook(replace(story.field.codebook, encoder=encoder), codebook)
@@ -431,7 +409,7 @@ def test_query_needs_the_right_encoder(room: Path, story: Story, tmp_path: Path,
     argv = ["locate", output, "red mug", "--vocabulary", vocabulary]
     answer = answer_of(capsys, *argv)
     assert (answer["threshold_rule"], answer["measure"]) == ("list", "relevancy")
-    alone = answer_of(capsys, "locate", room / "room.field", "red mug")
+    alone = locate("red mug")
     assert answer["num_selected"] >= alone["num_selected"] > 0
     assert answer_of(capsys, *argv, "--relevancy")["num_selected"] > 0
     assert main(["locate", str(output), "blue mug", "--vocabulary", str(vocabulary)]) == 1
@@ -444,38 +422,37 @@ def test_query_needs_the_right_encoder(room: Path, story: Story, tmp_path: Path,
     assert "its vectors have 2 numbers, those of this field 512" in message
 
 
-def test_query_refuses_before_it_works(room: Path, tmp_path: Path, capsys: Capture) -> None:
-    field, scene = room / "room.field", room / "scene.ply"
-    assert "--vector" in error_of(capsys, "locate", field)
-    assert "--scene" in error_of(capsys, "locate", field, "mug", "--save", tmp_path / "x.ply")
-    assert "--views" in error_of(capsys, "locate", field, "mug", "--scene", scene, "--picture", tmp_path / "x.png")
-    assert "--overwrite" in error_of(capsys, "locate", field, "mug", "--scene", scene, "--save", scene)
+def test_query_refuses_before_it_works(room, tmp_path, capsys, locate):
+    scene = room / "scene.ply"
+    assert "--vector" in locate.error()
+    assert "--scene" in locate.error("mug", "--save", tmp_path / "x.ply")
+    assert "--views" in locate.error("mug", "--scene", scene, "--picture", tmp_path / "x.png")
+    assert "--overwrite" in locate.error("mug", "--scene", scene, "--save", scene)
     nowhere = tmp_path / "nowhere" / "x.ply"
     message = error_of(capsys, "locate", tmp_path / "no.field", "mug", "--scene", scene, "--save", nowhere)
     assert "there is no folder" in message  # said before the field is looked for
     write_npy(tmp_path / "short.npy", np.ones(3, np.float32))
-    assert "512" in error_of(capsys, "locate", field, "--vector", tmp_path / "short.npy")
+    assert "512" in locate.error("--vector", tmp_path / "short.npy")
     for number in (1e300, np.inf, np.uint64(0x7FF0000000000001).view(np.float64)):
         np.save(tmp_path / "odd.npy", np.append(np.ones(511), number))
-        message = error_of(capsys, "locate", field, "--vector", tmp_path / "odd.npy")
+        message = locate.error("--vector", tmp_path / "odd.npy")
         assert "must be finite and not zero" in message  # without NumPy's own warnings
     other = tmp_path / "other.ply"
     write_gaussians(other, read_gaussians(scene).subset(np.arange(100)))
-    answer = answer_of(capsys, "locate", field, "mug", "--scene", other, code=1)
+    answer = locate("mug", "--scene", other, code=1)
     assert answer["kind"] == "MismatchError"
 
 
-def test_query_writes_columns_and_a_picture(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+def test_query_writes_columns_and_a_picture(room, story, tmp_path, locate):
     out, picture = tmp_path / "mugs.ply", tmp_path / "mugs.png"
-    answer = answer_of(
-        capsys, "locate", room / "room.field", "mug", "--scene", room / "scene.ply", "--save", out,
+    answer = locate("mug", "--scene", room / "scene.ply", "--save", out,
         "--picture", picture, "--views", room,
     )  # fmt: skip
     saved = read_gaussians(out)
     assert saved.fingerprint == story.gaussians.fingerprint
     field = load_field(room / "room.field")
     scores = field.dense(field.scores(WordEncoder().encode_texts(["mug"])[0]))
-    np.testing.assert_array_equal(saved.extra["relevancy"], scores)
+    assert_array_equal(saved.extra["relevancy"], scores)
     sizes = [(saved.extra["match_id"] == number).sum() for number in range(2)]
     assert sizes == [thing["num_gaussians"] for thing in answer["matches"]]
     assert set(np.unique(saved.extra["match_id"])) == {-1, 0, 1}
@@ -485,7 +462,7 @@ def test_query_writes_columns_and_a_picture(room: Path, story: Story, tmp_path: 
     assert (np.ptp(pixels, axis=-1) > 60).sum() > 50  # something is in colour
 
 
-def test_render_one_and_all(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+def test_render_one_and_all(room, story, tmp_path, capsys):
     base = ["render", room / "scene.ply", "--views", room, "--output-dir", tmp_path / "out"]
     one = answer_of(capsys, *base, "--view", "photo_003", "--depth", "--alpha", "--background", "grey")
     assert [Path(file).name for file in one["files"]] == ["photo_003.png", "photo_003.alpha.png", "photo_003.depth.npy"]
@@ -500,7 +477,7 @@ def test_render_one_and_all(room: Path, story: Story, tmp_path: Path, capsys: Ca
     assert "photo_000.jpg" in error_of(capsys, *base, "--view", "nowhere")
 
 
-def test_render_keeps_in_colour_what_a_query_finds(room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_render_keeps_in_colour_what_a_query_finds(room, tmp_path, capsys):
     argv = ["render", room / "scene.ply", "--views", room, "--view", "photo_004", "--output-dir", tmp_path]
     report = answer_of(capsys, *argv, "--field", room / "room.field", "--query", "green sofa")
     pixels = pixels_of(report["files"][0])
@@ -511,9 +488,7 @@ def test_render_keeps_in_colour_what_a_query_finds(room: Path, tmp_path: Path, c
     assert "No match to highlight" in absent
 
 
-def test_demo_verb_tells_its_story(
-    household_story: household.Story, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_demo_verb_tells_its_story(household_story, tmp_path, capsys, monkeypatch):
     """The story and its pictures are tested elsewhere; here, what is printed of them."""
     count = len(PROBES)
     pictures = [tmp_path / "overview.png", *(tmp_path / f"{k}.png" for k in range(count))]
@@ -533,9 +508,8 @@ def test_demo_verb_tells_its_story(
 
 
 def test_the_demo_makes_a_page_that_answers_and_names_commands_that_run_without_extras(
-    household_story: household.Story, household_folder: Path, tmp_path: Path, capsys: Capture,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    household_story, household_folder, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr("drsplat.evaluation.demo.story.tell", lambda *_args, **_options: household_story)
     monkeypatch.setattr("drsplat.evaluation.demo.story.write_album", lambda *_args, **_options: [tmp_path] * 17)
     for extra in ("fastapi", "uvicorn", "prometheus_client", "usd", "mcp", "msgspec"):
@@ -555,12 +529,12 @@ def test_the_demo_makes_a_page_that_answers_and_names_commands_that_run_without_
         assert text_of(capsys, *command[1:]), (number, line)
 
 
-def test_progress_is_silent_where_nobody_looks(capsys: Capture) -> None:
+def test_progress_is_silent_where_nobody_looks(capsys):
     assert list(track([1, 2, 3], "counting")) == [1, 2, 3]
     assert capsys.readouterr() == ("", "")
 
 
-def test_progress_shows_after_a_while(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_shows_after_a_while(capsys, monkeypatch):
     from drsplat.base import progress
 
     monkeypatch.setattr(progress, "PATIENCE_S", -1.0)
@@ -572,9 +546,3 @@ def test_progress_shows_after_a_while(capsys: Capture, monkeypatch: pytest.Monke
     assert "counting" in err
     assert list(track([1, 2, 3], "counting", quiet=True)) == [1, 2, 3]
     assert capsys.readouterr().err == ""
-
-
-def test_python_dash_m_runs_it() -> None:
-    command = [sys.executable, "-m", "drsplat", "--version"]
-    result = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ})
-    assert result.stdout.startswith("drsplat ")

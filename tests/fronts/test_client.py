@@ -3,10 +3,10 @@
 import hashlib
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import cKDTree
 
 from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromium, opened, pixels_of, settled
@@ -31,7 +31,7 @@ NAMELESS = (
 CARD = "WebGL2RenderingContext.prototype.getExtension = () => null;"  # nobody then says that a processor draws
 
 
-def test_the_client_was_built_from_the_sources_that_are_here() -> None:
+def test_the_client_was_built_from_the_sources_that_are_here():
     names = sorted(path.relative_to(WEB).as_posix() for path in (WEB / "src").rglob("*") if path.is_file())
     digest = hashlib.sha256()
     for name in (*names, "build.mjs", "package.json"):
@@ -52,10 +52,9 @@ def contrast(one: str, other: str) -> float:
 
 
 @pytest.mark.parametrize("look", [":root", ':root[data-look="light"]'])
-def test_what_is_read_has_contrast_enough(look: str) -> None:
+def test_what_is_read_has_contrast_enough(look):
     """WCAG 2.2 AA: 4.5 for text, 3 for the borders of what is typed into."""
     rule = re.search(re.escape(look) + r" \{(.*?)\}", client_file("client.css"))
-    assert rule is not None
     colors = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6});", rule[1]))
     for ground in ("paper", "raised"):
         for ink in ("ink", "faint", "fault"):
@@ -74,7 +73,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @needs_chromium
 @pytest.mark.parametrize("drawer", ["processor", "card"])
-def test_the_client_draws_what_the_renderer_draws(exported: Path, chromium: Any, drawer: str) -> None:
+def test_the_client_draws_what_the_renderer_draws(exported, chromium, drawer):
     """Of the same camera and the same background, but for 8 bits, SPZ's precision and the sort's 65,536 depths."""
     scene = boxes_scene()
     frame, size = Session(scene).shown.frame, (SIZE[0] - PANEL, SIZE[1])
@@ -105,7 +104,7 @@ def test_the_client_draws_what_the_renderer_draws(exported: Path, chromium: Any,
 
 
 @needs_chromium
-def test_a_page_gives_its_scene_as_glb_with_named_objects(room: Path, tmp_path: Path, chromium: Any) -> None:
+def test_a_page_gives_its_scene_as_glb_with_named_objects(room, tmp_path, chromium):
     """Read by the specifications alone, and by our own reader."""
     scene = open_scene(room / "room.field", scene=room / "scene.ply")
     gaussians = scene.gaussians
@@ -122,18 +121,18 @@ def test_a_page_gives_its_scene_as_glb_with_named_objects(room: Path, tmp_path: 
     assert table["name"][1] == "plate </script> 😀"
     assert table["num_gaussians"] == [len(match) for match in scene.objects]
     for match, center, extent in zip(scene.objects, table["center"], table["extent"], strict=True):
-        np.testing.assert_allclose(center, match.center, atol=1e-3)
-        np.testing.assert_allclose(extent, match.extent, atol=1e-3)
+        assert_allclose(center, match.center, atol=1e-3)
+        assert_allclose(extent, match.extent, atol=1e-3)
     read = read_gaussians(tmp_path / "scene.glb")
     nearest = cKDTree(read.means).query(gaussians.means)[1]  # a page has rows in order of significance
-    np.testing.assert_allclose(read.means[nearest], gaussians.means, atol=1e-4)
-    np.testing.assert_allclose(read.opacities[nearest], gaussians.opacities, atol=1 / 255)
-    np.testing.assert_array_equal(read.extra["object_id"][nearest], scene.object_ids())
+    assert_allclose(read.means[nearest], gaussians.means, atol=1e-4)
+    assert_allclose(read.opacities[nearest], gaussians.opacities, atol=1 / 255)
+    assert_array_equal(read.extra["object_id"][nearest], scene.object_ids())
 
 
 @pytest.mark.slow
 @needs_chromium
-def test_a_picture_with_little_room_has_what_looks_most_significant_there(exported: Path, chromium: Any) -> None:
+def test_a_picture_with_little_room_has_what_looks_most_significant_there(exported, chromium):
     """Of what a camera does not see nothing is drawn, so that there is room for all that it does see."""
     room = "(share) => { Object.defineProperty(drsplat.stage, 'limit', { configurable: true, get: () => share }); }"
     with a_page(chromium, *SIZE) as page:
@@ -148,13 +147,13 @@ def test_a_picture_with_little_room_has_what_looks_most_significant_there(export
             pictures[rows] = pixels_of(page, SIZE[0])[:, PANEL:]
     seen = pictures[960]
     assert np.ptp(seen) > 0.3
-    np.testing.assert_array_equal(pictures[480], seen)  # this camera is before one of three things
+    assert_array_equal(pictures[480], seen)  # this camera is before one of three things
     error = ((pictures[100] - seen) ** 2).mean()
     assert 0 < error < 0.02
 
 
 @needs_chromium
-def test_a_page_asks_nobody_names_itself_and_tells_what_is_there(exported: Path, chromium: Any) -> None:
+def test_a_page_asks_nobody_names_itself_and_tells_what_is_there(exported, chromium):
     with a_page(chromium, *SIZE) as page:
         requests: list[str] = []
         page.on("request", lambda request: requests.append(request.url))
@@ -169,7 +168,7 @@ def test_a_page_asks_nobody_names_itself_and_tells_what_is_there(exported: Path,
         nothing = pixels_of(page, SIZE[0])[:600, PANEL:]
         page.locator("#colours").select_option("as it is")
         settled(page)
-        np.testing.assert_array_equal(nothing[:500], pixels_of(page, SIZE[0])[:500, PANEL:])  # nothing is dimmed
+        assert_array_equal(nothing[:500], pixels_of(page, SIZE[0])[:500, PANEL:])  # nothing is dimmed
         page.locator("#query").fill("quagga")
         page.locator("#ask").click()
         eventually(lambda: "does not know “quagga”" in page.locator("#message").inner_text())
@@ -181,7 +180,7 @@ def test_a_page_asks_nobody_names_itself_and_tells_what_is_there(exported: Path,
 
 
 @needs_chromium
-def test_an_answer_keeps_its_colours_and_the_rest_is_dimmed(exported: Path, chromium: Any) -> None:
+def test_an_answer_keeps_its_colours_and_the_rest_is_dimmed(exported, chromium):
     with a_page(chromium, *SIZE) as page:
         opened(page, exported.as_uri())
         at = "() => drsplat.camera.project(drsplat.state.results[0].matches[0].center)"
@@ -192,7 +191,7 @@ def test_an_answer_keeps_its_colours_and_the_rest_is_dimmed(exported: Path, chro
         page.locator("#colours").select_option("as it is")
         settled(page)
         plain = near(pixels_of(page, SIZE[0]), (PANEL + x, y))
-        np.testing.assert_allclose(asked.mean((0, 1)), plain.mean((0, 1)), atol=0.03)
+        assert_allclose(asked.mean((0, 1)), plain.mean((0, 1)), atol=0.03)
         page.locator("#query").fill("tall lamp")
         page.locator("#ask").click()
         eventually(lambda: page.evaluate("() => drsplat.state.results[0].text") == "tall lamp")
@@ -206,7 +205,7 @@ def test_an_answer_keeps_its_colours_and_the_rest_is_dimmed(exported: Path, chro
 
 
 @needs_chromium
-def test_a_link_holds_the_view_and_the_query(exported: Path, chromium: Any) -> None:
+def test_a_link_holds_the_view_and_the_query(exported, chromium):
     with a_page(chromium, *SIZE) as page:
         opened(page, exported.as_uri())
         page.evaluate("() => drsplat.act({ act: 'ask', text: 'tall lamp' })")
@@ -217,11 +216,11 @@ def test_a_link_holds_the_view_and_the_query(exported: Path, chromium: Any) -> N
         page.goto("about:blank")
         opened(page, link)
         assert page.evaluate("() => drsplat.state.results[0].text") == "tall lamp"
-        np.testing.assert_allclose(page.evaluate("() => drsplat.camera.eye"), eye, atol=2e-3)
+        assert_allclose(page.evaluate("() => drsplat.camera.eye"), eye, atol=2e-3)
 
 
 @needs_chromium
-def test_a_click_says_what_is_there(exported: Path, chromium: Any) -> None:
+def test_a_click_says_what_is_there(exported, chromium):
     with a_page(chromium, *SIZE) as page:
         opened(page, exported.as_uri())
         x, y, _ = page.evaluate("() => drsplat.camera.project(drsplat.state.results[0].matches[0].center)")
@@ -231,7 +230,7 @@ def test_a_click_says_what_is_there(exported: Path, chromium: Any) -> None:
 
 
 @needs_chromium
-def test_every_control_says_what_it_is(exported: Path, chromium: Any) -> None:
+def test_every_control_says_what_it_is(exported, chromium):
     """Names of buttons and fields for who cannot see them; one primary button a tab."""
     with a_page(chromium, *SIZE) as page:
         opened(page, exported.as_uri())

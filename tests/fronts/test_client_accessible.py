@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ def shown(surface: str, room: Path, folder: Path) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("surface", ["viewer", "page"])
-def test_each_tab_can_be_read_and_pressed(surface: str, room: Path, tmp_path: Path, chromium: Any) -> None:
+def test_each_tab_can_be_read_and_pressed(surface, room, tmp_path, chromium):
     """Texts have contrast, what is pressed has a name and 24 x 24 pixels (2.5.8), nothing lies beside the picture."""
     with shown(surface, room, tmp_path) as address, a_page(chromium, *SIZES["desk"]) as page:
         opened(page, address)

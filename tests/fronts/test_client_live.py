@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
 pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
@@ -35,7 +36,7 @@ def wait_for(page: Any, condition: str) -> None:
 
 
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
-def test_ask_remove_undo(session: Session, size: tuple[int, int], chromium: Any) -> None:
+def test_ask_remove_undo(session, size, chromium):
     with served(session) as address, a_page(chromium, *size) as page:
         opened(page, address)
         page.locator("#query").fill("red mug")
@@ -55,12 +56,10 @@ def test_ask_remove_undo(session: Session, size: tuple[int, int], chromium: Any)
         wait_for(page, "!drsplat.state.can_undo")
         assert session.edits.listed.done == 0
         back = near(pixels_of(page, size[0]), (left + x, y), 5)
-        np.testing.assert_allclose(back.mean((0, 1)), there.mean((0, 1)), atol=0.05)
+        assert_allclose(back.mean((0, 1)), there.mean((0, 1)), atol=0.05)
 
 
-def test_a_scene_comes_in_pieces_and_is_whole_with_its_answer(
-    session: Session, chromium: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scene_comes_in_pieces_and_is_whole_with_its_answer(session, chromium, monkeypatch):
     monkeypatch.setattr("drsplat.fronts.viewing.live.arrays.PIECE_ROWS", len(session.scene.gaussians) // 7)
     session.ask("red mug")
     with served(session) as address, a_page(chromium) as page:
@@ -71,7 +70,7 @@ def test_a_scene_comes_in_pieces_and_is_whole_with_its_answer(
         assert owned == [len(session.scene.gaussians), len(session.results[0].gaussian_ids)]
 
 
-def test_every_object_has_the_colour_that_saved_pictures_have(session: Session, chromium: Any) -> None:
+def test_every_object_has_the_colour_that_saved_pictures_have(session, chromium):
     with served(session) as address, a_page(chromium) as page:
         opened(page, address)
         page.evaluate("() => drsplat.act({ act: 'mode', mode: 'objects' })")
@@ -82,10 +81,10 @@ def test_every_object_has_the_colour_that_saved_pictures_have(session: Session, 
     assert set(numbers) == {1, 2}
     session.mode = Mode.OBJECTS
     own = session.drawn_colors[rows] * 255
-    np.testing.assert_allclose(rgba[numbers > 0, :3], own[numbers > 0], atol=2)  # bytes are cut off on both ways
+    assert_allclose(rgba[numbers > 0, :3], own[numbers > 0], atol=2)  # bytes are cut off on both ways
 
 
-def test_a_click_takes_the_place_of_the_query_and_can_be_named(session: Session, chromium: Any) -> None:
+def test_a_click_takes_the_place_of_the_query_and_can_be_named(session, chromium):
     with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
         opened(page, address)
         page.locator("#query").fill(";")
@@ -101,10 +100,10 @@ def test_a_click_takes_the_place_of_the_query_and_can_be_named(session: Session,
         page.get_by_label("Name of this object").fill("my ball")
         page.get_by_role("button", name="Keep").click()
         wait_for(page, "drsplat.state.chosen.name.includes('my ball')")
-        assert "my ball" in session.scene.label_file.path.read_text()  # type: ignore[union-attr]
+        assert "my ball" in session.scene.label_file.path.read_text()
 
 
-def test_a_lasso_selects_what_is_inside_and_takes_a_note(session: Session, chromium: Any) -> None:
+def test_a_lasso_selects_what_is_inside_and_takes_a_note(session, chromium):
     with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
         opened(page, address)
         page.evaluate("() => { const o = drsplat.header.objects[0]; drsplat.camera.stand(o.eye, o.center); }")
@@ -135,7 +134,7 @@ def ask(page: Any, text: str) -> None:
     settled(page)
 
 
-def test_two_browsers_have_their_own_questions_and_share_edits(session: Session, chromium: Any) -> None:
+def test_two_browsers_have_their_own_questions_and_share_edits(session, chromium):
     with served(session) as address, a_page(chromium) as one, a_page(chromium) as other:
         for page in (one, other):
             opened(page, address)
@@ -150,7 +149,7 @@ def test_two_browsers_have_their_own_questions_and_share_edits(session: Session,
         assert one.evaluate("() => drsplat.splats.opacity.filter((one) => one === 0).length") > 10
 
 
-def test_a_new_question_takes_the_card_of_a_click_and_an_error_with_it(session: Session, chromium: Any) -> None:
+def test_a_new_question_takes_the_card_of_a_click_and_an_error_with_it(session, chromium):
     with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
         opened(page, address)
         page.evaluate("() => { const o = drsplat.header.objects[0]; drsplat.camera.stand(o.eye, o.center); }")
@@ -169,7 +168,7 @@ def test_a_new_question_takes_the_card_of_a_click_and_an_error_with_it(session: 
         assert page.locator("#message").is_hidden()
 
 
-def test_no_match_offers_words_that_do_and_a_switch(session: Session, chromium: Any) -> None:
+def test_no_match_offers_words_that_do_and_a_switch(session, chromium):
     with served(session) as address, a_page(chromium, *SIZES["hand"]) as page:
         opened(page, address)
         ask(page, "elephant")
@@ -182,7 +181,7 @@ def test_no_match_offers_words_that_do_and_a_switch(session: Session, chromium: 
         assert not page.get_by_label("I know it is there").is_checked()
 
 
-def test_a_shared_link_keeps_question_threshold_and_camera(session: Session, chromium: Any) -> None:
+def test_a_shared_link_keeps_question_threshold_and_camera(session, chromium):
     with served(session) as address, a_page(chromium) as one, a_page(chromium) as other:
         opened(one, address)
         ask(one, "red mug; blue plate")
@@ -195,10 +194,10 @@ def test_a_shared_link_keeps_question_threshold_and_camera(session: Session, chr
         shown = "() => [drsplat.state.asked, drsplat.state.results.map((one) => one.threshold)]"
         assert other.evaluate(shown) == one.evaluate(shown)
         eyes = [page.evaluate("() => drsplat.camera.eye") for page in (one, other)]
-        np.testing.assert_allclose(eyes[0], eyes[1], atol=2e-3)
+        assert_allclose(eyes[0], eyes[1], atol=2e-3)
 
 
-def test_a_page_that_was_let_go_asks_again(session: Session, chromium: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_was_let_go_asks_again(session, chromium, monkeypatch):
     with served(session) as address, a_page(chromium) as page, a_page(chromium) as other:
         opened(page, address)
         ask(page, "red mug")
@@ -211,7 +210,7 @@ def test_a_page_that_was_let_go_asks_again(session: Session, chromium: Any, monk
         assert page.evaluate("() => performance.getEntriesByType('navigation')[0].type") == "reload"
 
 
-def test_pictures_of_objects_stay_while_objects_are_chosen(session: Session, chromium: Any) -> None:
+def test_pictures_of_objects_stay_while_objects_are_chosen(session, chromium):
     with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
         opened(page, address)
         page.locator("#tab-objects").click()
@@ -223,7 +222,7 @@ def test_pictures_of_objects_stay_while_objects_are_chosen(session: Session, chr
         assert page.evaluate(f"() => {{ drsplat.render(); return {whole}; }}")  # at once, not fetched again
 
 
-def test_a_file_that_is_dropped_is_opened(session: Session, room: Path, chromium: Any) -> None:
+def test_a_file_that_is_dropped_is_opened(session, room, chromium):
     with served(session) as address, a_page(chromium) as page:
         opened(page, address)
         page.locator("#scene-file").set_input_files(room / "scene.ply")
@@ -232,7 +231,7 @@ def test_a_file_that_is_dropped_is_opened(session: Session, room: Path, chromium
         assert page.evaluate("() => drsplat.splats.count") == len(session.scene.gaussians)
 
 
-def test_labels_of_one_place_do_not_cover_each_other(session: Session, chromium: Any) -> None:
+def test_labels_of_one_place_do_not_cover_each_other(session, chromium):
     for word in ("one", "two", "three"):
         session.edits.annotate(Annotation.at(word, (0.0, 0.0, 0.6)))
     with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
@@ -245,7 +244,7 @@ def test_labels_of_one_place_do_not_cover_each_other(session: Session, chromium:
         assert np.count_nonzero(np.diff(alpha.astype(int)) == 1) == 3  # three plates, with room between
 
 
-def test_key_frames_make_a_path_that_is_saved(session: Session, chromium: Any) -> None:
+def test_key_frames_make_a_path_that_is_saved(session, chromium):
     with served(session) as address, a_page(chromium) as page:
         opened(page, address)
         page.keyboard.press("k")
@@ -265,9 +264,7 @@ def is_noted(pixels: np.ndarray) -> bool:
 
 
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
-def test_a_page_lists_objects_and_draws_annotations(
-    session: Session, size: tuple[int, int], chromium: Any, tmp_path: Path
-) -> None:
+def test_a_page_lists_objects_and_draws_annotations(session, size, chromium, tmp_path):
     session.ask("red mug")
     session.edit(Duplicate((0.0, 0.0, 1.0)))
     session.edits.annotate(Annotation.at("here", (0.0, 0.0, 0.6)))
@@ -295,14 +292,12 @@ def test_a_page_lists_objects_and_draws_annotations(
         page.locator(".thing").first.click()
         eventually(lambda: page.locator(".thing").first.get_attribute("aria-pressed") == "false")
         box = page.locator(".thing").first.bounding_box()
-        assert box is not None
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= size[0]
 
 
-def test_a_page_has_what_photos_agree_less_on_behind_more(session: Session, chromium: Any, tmp_path: Path) -> None:
+def test_a_page_has_what_photos_agree_less_on_behind_more(session, chromium, tmp_path):
     field = session.scene.field
-    assert field.objects is not None
     sure = field.objects.sure.copy()
     sure[field.objects.thing(0)] = 0.01
     doubted = Scene(field.with_objects(replace(field.objects, sure=sure)), session.scene.gaussians, session.scene.views)

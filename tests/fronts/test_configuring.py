@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from command_line import Capture, error_of, text_of
+from command_line import error_of, text_of
 from drsplat.cli import VERBS, make_parser
 from drsplat.errors import InputError
 from drsplat.fronts.commands.configuring import MAX_FILE_BYTES, options_of, place
@@ -32,7 +32,7 @@ def verb_parser(verb: str) -> VerbParser:
 def parser_of(parser: argparse.ArgumentParser, verb: str) -> VerbParser:
     choices = next(action.choices for action in parser._actions if action.choices)
     assert isinstance(choices, dict)
-    return choices[verb]  # type: ignore[no-any-return]
+    return choices[verb]
 
 
 def parsed(verb: str, argv: list[str]) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def allowed(option: argparse.Action) -> list[str]:
 
     def takes(text: str) -> bool:
         try:
-            option.type(text)  # type: ignore[operator, misc]
+            option.type(text)
         except (argparse.ArgumentTypeError, ValueError):
             return False
         return True
@@ -114,9 +114,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
-@settings(max_examples=30, deadline=None)
 @given(data=st.data())
-def test_the_line_wins_in_every_spelling(verb: str, folder: Path, data: st.DataObject) -> None:
+def test_the_line_wins_in_every_spelling(verb, folder, data):
     parser = verb_parser(verb)
     key, option = data.draw(st.sampled_from(sorted(options_of(parser.options).items())))
     ways = spellings(option, data.draw(uses(option)))
@@ -129,7 +128,7 @@ def test_the_line_wins_in_every_spelling(verb: str, folder: Path, data: st.DataO
     assert parsed(verb, ["--config", file, *line]) == parsed(verb, line)
 
 
-def test_attached_short_options_win(folder: Path) -> None:
+def test_attached_short_options_win(folder):
     file = written(folder, "register", ['output = "keep.field"', "topk = 40"])
     line = ["scene.ply", "capture", "--features", "f", "-omine.field", "-k5", "--config", file]
     arguments = parsed("register", line)
@@ -148,9 +147,8 @@ def rivals(parser: VerbParser, option: argparse.Action) -> dict[str, argparse.Ac
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
-@settings(max_examples=30, deadline=None)
 @given(data=st.data())
-def test_every_option_can_be_set_in_a_file(verb: str, folder: Path, data: st.DataObject) -> None:
+def test_every_option_can_be_set_in_a_file(verb, folder, data):
     parser = verb_parser(verb)
     key, option = data.draw(st.sampled_from(sorted(options_of(parser.options).items())))
     texts = data.draw(uses(option))
@@ -164,9 +162,8 @@ def test_every_option_can_be_set_in_a_file(verb: str, folder: Path, data: st.Dat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
-@settings(max_examples=30, deadline=None)
 @given(data=st.data())
-def test_what_is_printed_can_be_read_again(verb: str, folder: Path, data: st.DataObject) -> None:
+def test_what_is_printed_can_be_read_again(verb, folder, data):
     parser = verb_parser(verb)
     line: list[str] = []
     chosen: list[argparse.Action] = []
@@ -191,7 +188,7 @@ def test_what_is_printed_can_be_read_again(verb: str, folder: Path, data: st.Dat
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_defaults_stand_in_comments_and_can_be_taken(verb: str, folder: Path) -> None:
+def test_defaults_stand_in_comments_and_can_be_taken(verb, folder):
     parser = verb_parser(verb)
     base = needed(parser)
     whole = make_parser([verb])
@@ -203,12 +200,12 @@ def test_defaults_stand_in_comments_and_can_be_taken(verb: str, folder: Path) ->
     assert parsed(verb, [*base, "--config", str(path)]) == parsed(verb, base)
 
 
-def test_a_printed_file_begins_with_its_verb(capsys: Capture) -> None:
+def test_a_printed_file_begins_with_its_verb(capsys):
     assert text_of(capsys, "demo", "--print-config").startswith('[demo]\n# output-dir = "drsplat-demo"')
     assert text_of(capsys, "demo", "-ox", "--print-config").startswith('[demo]\noutput-dir = "x"\n# overwrite = false')
 
 
-def test_changes_of_an_edit_are_kept_in_order(tmp_path: Path, capsys: Capture) -> None:
+def test_changes_of_an_edit_are_kept_in_order(tmp_path, capsys):
     line = ["s.ply", "--everything", "--move", "1", "0", "0", "--move", "0", "1", "0", "--turn", "5", "--fill"]
     printed = text_of(capsys, "edit", *line, "--print-config")
     (tmp_path / "e.toml").write_text(printed)
@@ -241,7 +238,7 @@ DEEP = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", DEEP.values(), ids=DEEP.keys())
-def test_a_hostile_file_is_one_error(text: str, tmp_path: Path, capsys: Capture) -> None:
+def test_a_hostile_file_is_one_error(text, tmp_path, capsys):
     (tmp_path / "c.toml").write_text(text)
     error = error_of(capsys, "inspect", tmp_path / "none", "--config", tmp_path / "c.toml")
     assert len(error) < 500
@@ -249,7 +246,7 @@ def test_a_hostile_file_is_one_error(text: str, tmp_path: Path, capsys: Capture)
     assert "\x1b" not in error
 
 
-def test_values_of_a_file_are_checked_as_those_of_the_line(tmp_path: Path, capsys: Capture) -> None:
+def test_values_of_a_file_are_checked_as_those_of_the_line(tmp_path, capsys):
     def fault(text: str) -> str:
         (tmp_path / "c.toml").write_text(text)
         verb = text[1:].partition("]")[0]
@@ -264,14 +261,14 @@ def test_values_of_a_file_are_checked_as_those_of_the_line(tmp_path: Path, capsy
     )
 
 
-def test_only_regular_files_are_read(tmp_path: Path, capsys: Capture) -> None:
+def test_only_regular_files_are_read(tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/null"), tmp_path):
         error = error_of(capsys, "doctor", "--config", path)
         assert error == f"drsplat: error: {path}: expected a file of TOML, this is a folder, a pipe or a device\n"
 
 
-def test_an_option_is_no_option_after_two_dashes(tmp_path: Path, capsys: Capture) -> None:
+def test_an_option_is_no_option_after_two_dashes(tmp_path, capsys):
     assert parsed("select", ["f", "--", "--config=x"])["text"] == "--config=x"
     error_of(capsys, "inspect", "--", "--log", code=1)
     assert not list(tmp_path.iterdir())

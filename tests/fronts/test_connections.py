@@ -77,7 +77,7 @@ def answered(port: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", SLOW)
-def test_who_never_ends_a_request_is_closed(stage: Stage) -> None:
+def test_who_never_ends_a_request_is_closed(stage):
     assert TIMEOUTS_S.keys() == QUICK.keys()
     with serving() as port, closing(connected(port, SLOW[stage])) as one:
         said = received(one)
@@ -85,7 +85,7 @@ def test_who_never_ends_a_request_is_closed(stage: Stage) -> None:
         assert answered(port)
 
 
-def test_a_byte_now_and_then_does_not_help() -> None:
+def test_a_byte_now_and_then_does_not_help():
     with serving() as port, closing(connected(port, SLOW[Stage.HEAD])) as one:
         with pytest.raises(OSError, match=r"[pP]ipe|reset"):  # noqa: PT012
             for _ in range(300):
@@ -95,7 +95,7 @@ def test_a_byte_now_and_then_does_not_help() -> None:
 
 
 @pytest.mark.slow
-def test_an_answer_that_nobody_reads_is_dropped_and_a_kept_connection_goes_on() -> None:
+def test_an_answer_that_nobody_reads_is_dropped_and_a_kept_connection_goes_on():
     with serving() as port:
         with closing(connected(port, REQUEST.replace(b"/ ", b"/large ", 1))) as one:
             time.sleep(4)
@@ -109,7 +109,7 @@ def test_an_answer_that_nobody_reads_is_dropped_and_a_kept_connection_goes_on() 
                 one.sendall(REQUEST)
 
 
-def test_many_unfinished_requests_lock_nobody_out() -> None:
+def test_many_unfinished_requests_lock_nobody_out():
     patient = dict.fromkeys(QUICK, 600.0)
     with serving(most=20, seconds=patient) as port, ExitStack() as opened:
         slow = [opened.enter_context(closing(connected(port, SLOW[kind]))) for kind in SLOW for _ in range(30)]
@@ -121,7 +121,7 @@ def test_many_unfinished_requests_lock_nobody_out() -> None:
         assert gone == 60  # the oldest; the others wait on
 
 
-def test_whoever_has_most_connections_loses_one() -> None:
+def test_whoever_has_most_connections_loses_one():
     """Peers are told apart, so that one of them cannot close the connections of others."""
     kind = connection_class(most=3)
 

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from importlib.metadata import requires, version
 from importlib.util import find_spec
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -40,7 +39,7 @@ def asked(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     return answer
 
 
-def test_this_machine_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_this_machine_as_it_is(capsys):
     answer = asked(capsys)
     assert answer["drsplat"] == version("drsplat")
     assert answer["packages"]["numpy"] == version("numpy")
@@ -52,7 +51,7 @@ def test_this_machine_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("name", doctor.SERVERS)
-def test_extras_that_are_missing_have_their_cure(installed: set[str], name: str) -> None:
+def test_extras_that_are_missing_have_their_cure(installed, name):
     extra, modules = doctor.SERVERS[name]
     wanted = [one for one in requires("drsplat") or [] if f'extra == "{extra}"' in one]
     assert {re.split(r"[<>=;\s]", one)[0].replace("-", "_") for one in wanted} == set(modules)
@@ -67,13 +66,13 @@ def test_extras_that_are_missing_have_their_cure(installed: set[str], name: str)
 
 @pytest.mark.slow
 @pytest.mark.skipif(not has_torch, reason="needs torch")
-def test_torch_is_imported_by_another_process_only() -> None:
+def test_torch_is_imported_by_another_process_only():
     code = "import sys; from drsplat.cli import main; main(['doctor']); print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("False\n")
 
 
-def test_for_people(installed: set[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_for_people(installed, capsys):
     assert main(["doctor"]) == 0
     out = capsys.readouterr().out
     assert f"drsplat {version('drsplat')}" in out
@@ -86,14 +85,12 @@ def test_for_people(installed: set[str], capsys: pytest.CaptureFixture[str]) -> 
     )
 
 
-def test_without_the_hub_nothing_is_known_of_models(installed: set[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_the_hub_nothing_is_known_of_models(installed, capsys):
     installed.discard("huggingface_hub")
     assert {of["cached"] for of in asked(capsys)["models"].values()} == {None}
 
 
-def test_models_in_the_cache_are_found(
-    installed: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_models_in_the_cache_are_found(installed, tmp_path, monkeypatch, capsys):
     pytest.importorskip("huggingface_hub", reason="needs huggingface_hub")
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
     name = "facebook/sam2.1-hiera-tiny"
@@ -109,7 +106,7 @@ def test_models_in_the_cache_are_found(
     assert [model for model, of in found.items() if of["cached"]] == [name]
 
 
-def test_the_models_are_the_defaults() -> None:
+def test_the_models_are_the_defaults():
     from drsplat.photos.models.loading import DEFAULT_ENCODER
     from drsplat.photos.models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
 
@@ -127,14 +124,14 @@ def test_the_models_are_the_defaults() -> None:
         ({"torchvision_fault": "RuntimeError: nms"}, "RuntimeError: nms", "pip uninstall torchv"),
     ],
 )
-def test_faults_of_libraries(facts: dict[str, Any], reason: str | None, cure: str | None, installed: set[str]) -> None:
+def test_faults_of_libraries(facts, reason, cure, installed):
     found = doctor.abilities({**FINE, **facts})[MODELS]
     assert found["ready"] == (reason is None)
     assert (reason or "") in (found["reason"] or "")
     assert (cure or "") in (found["cure"] or "")
 
 
-def test_a_gpu_is_what_the_kernels_find(installed: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_is_what_the_kernels_find(installed, monkeypatch):
     """CuPy's word, whatever torch finds."""
     monkeypatch.setattr("drsplat.kernels.cuda.engine.unavailable", lambda: "no GPU: buy one")
     found = doctor.abilities({**FINE, "cuda": ["NVIDIA X"]})[CUDA]
@@ -150,7 +147,7 @@ def test_a_gpu_is_what_the_kernels_find(installed: set[str], monkeypatch: pytest
 
 @pytest.mark.slow
 @pytest.mark.skipif(not has_torch, reason="needs torch")
-def test_a_broken_torchvision_is_found_by_importing_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_torchvision_is_found_by_importing_it(tmp_path, monkeypatch):
     (tmp_path / "torchvision").mkdir()
     (tmp_path / "torchvision" / "__init__.py").write_text("raise RuntimeError('no torchvision::nms')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -159,7 +156,7 @@ def test_a_broken_torchvision_is_found_by_importing_it(tmp_path: Path, monkeypat
     assert facts["torch_fault"] is None
 
 
-def test_a_torch_that_cannot_be_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_torch_that_cannot_be_imported(tmp_path, monkeypatch):
     (tmp_path / "torch.py").write_text("raise OSError('libc10.so: cannot open')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(doctor, "_is_installed", lambda name: True)
@@ -171,7 +168,7 @@ def test_a_torch_that_cannot_be_imported(tmp_path: Path, monkeypatch: pytest.Mon
     assert not doctor.abilities(facts)[MODELS]["ready"]
 
 
-def test_without_torch_nothing_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_torch_nothing_is_started(monkeypatch):
     monkeypatch.setattr(doctor, "_is_installed", lambda name: False)
     assert doctor._start_probe() is None
     assert doctor._probed(None) == {}

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from command_line import Capture, answer_of
+from command_line import answer_of
 from drsplat import Answer, Cut, Match, MiniEncoder, Query, Scene, open_scene
 from drsplat.cli import make_parser, spelled
 from drsplat.errors import DrSplatError
@@ -192,37 +193,37 @@ def same_matches(told: list[dict[str, Any]], expected: list[Match], exactly: boo
         assert one["num_gaussians"] == len(match)
         assert one["score"] == pytest.approx(match.score, abs=off)
         for key in ("center", "extent", "axes"):
-            np.testing.assert_allclose(one[key], getattr(match, key), rtol=0, atol=off)
+            assert_allclose(one[key], getattr(match, key), rtol=0, atol=off)
         support = [(mask["view"], mask["mask"]) for mask in one["support"]]
         assert support == [(mask.view_name, mask.mask_id) for mask in match.support]
 
 
 @pytest.mark.slow
 @named(GOOD)
-def test_the_command_line(asked: Asked, room: Scene, files: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_the_command_line(asked, room, files, tmp_path, capsys):
     expected = room.ask(Query(**asked.query))
     argv, folder = on_the_command_line(files, asked), files_of(room)
     told = answer_of(capsys, "select", folder, *argv, "--save", tmp_path / "ids.npy")
     same_numbers(told, expected, 1e-12)
-    np.testing.assert_array_equal(np.load(tmp_path / "ids.npy"), expected.gaussian_ids)
+    assert_array_equal(np.load(tmp_path / "ids.npy"), expected.gaussian_ids)
     located = answer_of(capsys, "locate", folder, *argv, "--top", 100)
     same_matches(located["matches"], room.locate(expected), exactly=True)
 
 
 @pytest.mark.slow
 @named(GOOD)
-def test_http(asked: Asked, room: Scene, scene_folder: SceneFolder) -> None:
+def test_http(asked, room, scene_folder):
     expected = room.ask(Query(**asked.query))
     status, told = over_http(scene_folder, "select", {**asked.body, "ids": True})
     assert status == 200
     same_numbers(told["measured"], expected, 1e-5)
-    np.testing.assert_array_equal(told["gaussian_ids"], expected.gaussian_ids)
+    assert_array_equal(told["gaussian_ids"], expected.gaussian_ids)
     _, located = over_http(scene_folder, "locate", {**asked.body, "top": 100})
     same_matches(located["matches"], room.locate(expected), exactly=False)
 
 
 @named([asked for asked in GOOD if asked.in_words])
-def test_language_models(asked: Asked, room: Scene, scene_folder: SceneFolder) -> None:
+def test_language_models(asked, room, scene_folder):
     told = Conversation(room, "room").locate(asked.query["text"], top=20).model_dump()
     expected = room.ask(asked.query["text"])
     same_numbers(told["measured"], expected, 1e-5)
@@ -231,7 +232,7 @@ def test_language_models(asked: Asked, room: Scene, scene_folder: SceneFolder) -
 
 
 @pytest.mark.slow
-def test_language_models_without_objects(room: Scene) -> None:
+def test_language_models_without_objects(room):
     talk, query = Conversation(room, "room"), Query("toys", objects="never")
     expected = room.locate(query)
     told = talk.locate("toys", top=20, objects="never").model_dump()
@@ -240,16 +241,15 @@ def test_language_models_without_objects(room: Scene) -> None:
     assert talk.show("toys", objects="never").view.num_matches == told["num_matches"] == len(expected)
     assert talk.count("toys", objects="never").count == told["count"] == sum(match.sure for match in expected)
     place = talk.where_is("toys", objects="never").best
-    assert place is not None
     same_matches([place.model_dump()], expected[:1], exactly=False)
     apart = talk.how_far_apart("red vase", "candle", objects="never")
     (vase, *_), (candle, *_) = (room.locate(Query(one, objects="never")) for one in ("red vase", "candle"))
-    np.testing.assert_allclose(apart.offset, candle.center - vase.center, atol=2e-4)
+    assert_allclose(apart.offset, candle.center - vase.center, atol=2e-4)
 
 
 @pytest.mark.slow
 @named(GOOD)
-def test_the_viewer(asked: Asked, room: Scene) -> None:
+def test_the_viewer(asked, room):
     """Words and pictures are asked in its panel; of other answers it shows the same matches."""
     session, expected = Session(room), room.ask(Query(**asked.query))
     if asked.in_words:
@@ -259,16 +259,16 @@ def test_the_viewer(asked: Asked, room: Scene) -> None:
     else:
         session.results = (result_of(room, asked.name, expected),)
     (result,) = session.results
-    np.testing.assert_array_equal(result.answer.values, expected.values)
+    assert_array_equal(result.answer.values, expected.values)
     assert result.threshold == expected.threshold
     for shown, match in zip(result.matches, room.locate(expected), strict=True):
-        np.testing.assert_array_equal(shown.gaussian_ids, match.gaussian_ids)
-        np.testing.assert_array_equal(shown.center, match.center)
+        assert_array_equal(shown.gaussian_ids, match.gaussian_ids)
+        assert_array_equal(shown.center, match.center)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cut", [{}, {"threshold": 0.6}, {"relevancy": True}, {"objects": "never"}])
-def test_classes(cut: dict[str, Any], room: Scene, scene_folder: SceneFolder, capsys: Capture) -> None:
+def test_classes(cut, room, scene_folder, capsys):
     names = ["red vase", "laptop", "orange sofa"]
     expected = room.segment(names, Cut(**cut))
     flags = ["--relevancy"] if "relevancy" in cut else [f"--{name}={value}" for name, value in cut.items()]
@@ -276,15 +276,13 @@ def test_classes(cut: dict[str, Any], room: Scene, scene_folder: SceneFolder, ca
     _, sent = over_http(scene_folder, "segment", {"classes": names, "labels": True, **cut})
     for one in (told, sent):
         assert [part["num_gaussians"] for part in one["classes"]] == expected.counts
-    np.testing.assert_array_equal(sent["labels"], expected.labels)
+    assert_array_equal(sent["labels"], expected.labels)
     if not cut:
-        np.testing.assert_array_equal(Session(room).classify(names).labels, expected.labels)
+        assert_array_equal(Session(room).classify(names).labels, expected.labels)
 
 
 @named(BAD)
-def test_bad_input_is_told_in_the_same_words(
-    asked: Asked, room: Scene, files: Path, scene_folder: SceneFolder, capsys: Capture
-) -> None:
+def test_bad_input_is_told_in_the_same_words(asked, room, files, scene_folder, capsys):
     """The command line has its flags for the names of arguments, and nothing else of its own."""
     with pytest.raises(DrSplatError) as caught:
         room.ask(Query(**asked.query))

@@ -91,9 +91,7 @@ async def until(true: Callable[[], bool]) -> None:
 
 
 @pytest.mark.parametrize("asked", [QUERY, LIST])
-def test_what_waits_for_a_client_that_has_gone_is_not_computed(
-    asked: tuple[str, str, bytes], app: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_waits_for_a_client_that_has_gone_is_not_computed(asked, app, tmp_path, monkeypatch):
     monkeypatch.setattr(workbench, "GONE_PATIENCE_S", 600.0)
 
     async def talk() -> None:
@@ -114,9 +112,7 @@ def test_what_waits_for_a_client_that_has_gone_is_not_computed(
     assert b"drsplat_waiting 0.0" in text
 
 
-def test_what_is_computed_for_a_client_that_has_gone_is_ended(
-    app: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_computed_for_a_client_that_has_gone_is_ended(app, tmp_path, monkeypatch):
     monkeypatch.setattr(workbench, "GONE_PATIENCE_S", 0.0)
 
     async def talk() -> None:
@@ -135,7 +131,7 @@ def test_what_is_computed_for_a_client_that_has_gone_is_ended(
     assert computed(tmp_path) == ["select", "list"]
 
 
-def test_a_client_that_stays_gets_its_answer(app: Any, tmp_path: Path) -> None:
+def test_a_client_that_stays_gets_its_answer(app, tmp_path):
     async def talk() -> None:
         client = Client(app, *QUERY)
         await until(lambda: len(computed(tmp_path)) == 1)

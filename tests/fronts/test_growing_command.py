@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import drsplat as ds
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import Capture, Line, answer_of, error_of, text_of
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.poses import write_cameras_json
 from drsplat.formats.replacing import sweep
@@ -40,12 +41,31 @@ def some_features(room: Path, *stems: str) -> Path:
     return folder
 
 
-def register(
-    room: Path, capsys: Capture, name: str, *stems: str, more: tuple[str, ...] = (), capture: str = "capture"
-) -> Path:
-    argv = ["register", room / "scene.ply", room / capture, "--features", some_features(room, *stems)]
-    answer_of(capsys, *argv, "--encoder-name", "drsplat-words", "--output", room / name, *more)
-    return room / name
+@pytest.fixture
+def register(room: Path, capsys: Capture) -> Callable[..., Path]:
+    def registered(name: str, *stems: str, more: tuple[str, ...] = (), capture: str = "capture") -> Path:
+        argv = ["register", room / "scene.ply", room / capture, "--features", some_features(room, *stems)]
+        answer_of(capsys, *argv, "--encoder-name", "drsplat-words", "--output", room / name, *more)
+        return room / name
+
+    return registered
+
+
+@pytest.fixture
+def features(room: Path) -> Path:
+    return room / "capture/language_features"
+
+
+@pytest.fixture
+def add(room: Path, capsys: Capture) -> Line:
+    """`drsplat add` of a.field, to be followed by the folder of features."""
+    return Line(capsys, "add", room / "a.field", room / "capture", "--scene", room / "scene.ply", "--features")
+
+
+@pytest.fixture
+def remove(room: Path, capsys: Capture) -> Line:
+    """`drsplat remove` from a.field, to be followed by the names of views."""
+    return Line(capsys, "remove", room / "a.field", "--scene", room / "scene.ply", "--views")
 
 
 def others_than(one: dict[str, bytes], two: dict[str, bytes]) -> set[str]:
@@ -54,100 +74,91 @@ def others_than(one: dict[str, bytes], two: dict[str, bytes]) -> set[str]:
     return {name for name in one if one[name] != two[name]}
 
 
-def add(room: Path, field: Path, features: Path, *more: object) -> tuple[object, ...]:
-    return ("add", field, room / "capture", "--features", features, "--scene", room / "scene.ply", *more)
-
-
-def remove(room: Path, field: Path, *views: object) -> tuple[object, ...]:
-    return ("remove", field, "--scene", room / "scene.ply", "--views", *views)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--code", "pq", "--subvectors", "16"), ("--aggregator", "robust")])
-def test_the_files_are_those_of_one_registration(more: tuple[str, ...], room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS[:2], more=more)
-    told = answer_of(capsys, *add(room, field, room / "capture/language_features"))
+def test_the_files_are_those_of_one_registration(more, room, add, remove, register, features):
+    field = register("a.field", *PHOTOS[:2], more=more)
+    told = add(features)
     assert (told["added"], told["num_views_unchanged"]) == (["photo_2.png", "photo_3.png"], 2)
     assert (told["num_views"], told["num_masks"]) == (4, 8)
     assert told["stage_seconds"].keys() == {"load", "read", "register", "weights", "code", "save"}
     assert 0 < told["num_touched"] <= told["num_gaussians"] == 300
-    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS, more=more))
-    told = answer_of(capsys, *remove(room, field, "photo_0", "photo_3.png"))
+    assert files_of(field) == files_of(register("b.field", *PHOTOS, more=more))
+    told = remove("photo_0", "photo_3.png")
     assert told["removed"] == ["photo_0.png", "photo_3.png"]
-    others = others_than(files_of(field), files_of(register(room, capsys, "c.field", *PHOTOS[1:3], more=more)))
+    others = others_than(files_of(field), files_of(register("c.field", *PHOTOS[1:3], more=more)))
     assert others == {"field.json"}  # which remembers those two
     assert sorted(path.name for path in room.iterdir() if "parts" in path.name or path.name.startswith(".")) == []
 
 
-def test_a_field_that_views_were_taken_out_of_has_the_files_of_one_without_them(room: Path, capsys: Capture) -> None:
+def test_a_field_that_views_were_taken_out_of_has_the_files_of_one_without_them(room, remove, register):
     """Also where other views were left out of the two from the start: `field.json` says so, and nothing else."""
     few = room / "few.txt"
     fields = []
     for name, left_out in (("a.field", ["photo_3"]), ("b.field", ["photo_0", "photo_3"])):
         few.write_text("\n".join(left_out) + "\n")
-        fields.append(register(room, capsys, name, *PHOTOS, more=("--without", str(few))))
-    answer_of(capsys, *remove(room, fields[0], "photo_0"))
+        fields.append(register(name, *PHOTOS, more=("--without", str(few))))
+    remove("photo_0")
     assert others_than(files_of(fields[0]), files_of(fields[1])) == {"field.json"}
 
 
-def test_what_people_read(room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS[:3])
-    text = text_of(capsys, *add(room, field, room / "capture/language_features"))
+def test_what_people_read(add, remove, register, features):
+    field = register("a.field", *PHOTOS[:3])
+    text = add.text(features)
     assert text.startswith(f"added to {field}")
     for part in ("1 view: photo_3.png", "coded again", "views", "4", "register", "save"):
         assert part in text
-    text = text_of(capsys, *add(room, field, room / "capture/language_features"))
+    text = add.text(features)
     assert text.startswith(f"nothing to add to {field}")
     assert "--replace" in text
-    assert "1 view: photo_3.png" in text_of(capsys, *remove(room, field, "*_3"))
+    assert "1 view: photo_3.png" in remove.text("*_3")
 
 
 @pytest.mark.slow
-def test_a_view_that_was_removed_comes_back_when_it_is_named(room: Path, capsys: Capture) -> None:
-    field, features = register(room, capsys, "a.field", *PHOTOS[:3]), room / "capture/language_features"
+def test_a_view_that_was_removed_comes_back_when_it_is_named(add, remove, register, features):
+    field = register("a.field", *PHOTOS[:3])
     before = files_of(field)
-    answer_of(capsys, *remove(room, field, "photo_1"))
-    told = answer_of(capsys, *add(room, field, features))
+    remove("photo_1")
+    told = add(features)
     assert (told["added"], told["left_out"]) == (["photo_3.png"], ["photo_1.png"])
-    answer_of(capsys, *remove(room, field, "photo_3"))
-    text = text_of(capsys, *add(room, field, features))
+    remove("photo_3")
+    text = add.text(features)
     assert "photo_1.png, photo_3.png" in text
     assert "--views NAME... brings them back" in text
-    told = answer_of(capsys, *add(room, field, features, "--views", "photo_1"))
+    told = add(features, "--views", "photo_1")
     assert (told["added"], told["left_out"], told["num_views"]) == (["photo_1.png"], [], 3)
     assert others_than(files_of(field), before) == {"field.json"}  # which remembers photo_3
-    assert "named photo_9" in error_of(capsys, *add(room, field, features, "--views", "photo_9"))
-    assert "drop --views" in error_of(capsys, *add(room, field, features, "--views", "photo_3", "--watch"))
+    assert "named photo_9" in add.error(features, "--views", "photo_9")
+    assert "drop --views" in add.error(features, "--views", "photo_3", "--watch")
 
 
-def test_a_folder_with_a_field_and_its_scene_needs_no_more(room: Path, capsys: Capture) -> None:
-    register(room, capsys, "a.field", *PHOTOS[:3])
+def test_a_folder_with_a_field_and_its_scene_needs_no_more(room, capsys, register):
+    register("a.field", *PHOTOS[:3])
     (room / "points.ply").unlink()
     told = answer_of(capsys, "add", room, room / "capture", "--features", room / "capture/language_features")
     assert told["added"] == ["photo_3.png"]
     assert "pass --scene SCENE" in error_of(capsys, "remove", room / "a.field", "--views", "photo_3")
 
 
-def test_features_that_have_become_others_are_taken_over_when_told_to(room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS)
+def test_features_that_have_become_others_are_taken_over_when_told_to(add, register, features):
+    field = register("a.field", *PHOTOS)
     before = files_of(field)
-    features = room / "capture/language_features"
     stored = ds.read_features(features).stored("photo_1")
     write_features(features, "photo_1", np.roll(stored[0], 5, axis=2), stored[1], overwrite=True)
-    assert answer_of(capsys, *add(room, field, features))["replaced"] == []
+    assert add(features)["replaced"] == []
     assert files_of(field) == before
-    told = answer_of(capsys, *add(room, field, features, "--replace"))
+    told = add(features, "--replace")
     assert (told["added"], told["replaced"], told["num_views_unchanged"]) == ([], ["photo_1.png"], 3)
-    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS))
-    assert answer_of(capsys, *add(room, field, features, "--replace"))["replaced"] == []
+    assert files_of(field) == files_of(register("b.field", *PHOTOS))
+    assert add(features, "--replace")["replaced"] == []
 
 
-def test_objects_are_found_again_and_names_stay(room: Path, capsys: Capture) -> None:
+def test_objects_are_found_again_and_names_stay(room, capsys, add, register, features):
     for name, photos in (("a.field", PHOTOS[:3]), ("b.field", PHOTOS)):
-        field = register(room, capsys, name, *photos)
+        field = register(name, *photos)
         assert answer_of(capsys, "objects", field, "--scene", room / "scene.ply")["num_objects"] == 2
     answer_of(capsys, "objects", room / "a.field", "--label", "my mug", "--id", "0")
-    told = answer_of(capsys, *add(room, room / "a.field", room / "capture/language_features"))
+    told = add(features)
     assert (told["num_objects"], told["labels_of_none"]) == (2, [])
     assert "objects" in told["stage_seconds"]
     assert files_of(room / "a.field") == files_of(room / "b.field")
@@ -162,28 +173,27 @@ def test_objects_are_found_again_and_names_stay(room: Path, capsys: Capture) -> 
         (["*"], "these are all 3 views"),
     ],
 )
-def test_views_that_cannot_go(views: list[str], said: str, room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS[:3])
+def test_views_that_cannot_go(views, said, remove, register):
+    field = register("a.field", *PHOTOS[:3])
     before = files_of(field)
-    assert said in error_of(capsys, *remove(room, field, *views))
+    assert said in remove.error(*views)
     assert files_of(field) == before
 
 
-def test_bad_input_changes_nothing(room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS[:3])
+def test_bad_input_changes_nothing(room, capsys, add, register, features):
+    field = register("a.field", *PHOTOS[:3])
     before = files_of(field)
-    features = room / "capture/language_features"
     other = ds.read_gaussians(room / "scene.ply").subset(np.arange(200))
     ds.write_gaussians(room / "other.ply", other)
     argv = ["add", field, room / "capture", "--features", features, "--scene", room / "other.ply"]
     assert "belongs to a scene of 300 Gaussians" in error_of(capsys, *argv)
-    assert "there is no such file or folder" in error_of(capsys, *add(room, room / "none.field", features))
+    assert "there is no such file or folder" in error_of(capsys, "add", room / "none.field", *add.begin[2:], features)
     made = room / "mini"
     answer_of(capsys, "embed", room / "capture", "--segmenter", "graph", "--encoder", "drsplat-mini", "-o", made)
-    assert "was embedded by 'drsplat-mini" in error_of(capsys, *add(room, field, made))
-    assert "no view has features" in error_of(capsys, *add(room, field, _renamed(room)))
-    assert "drop --replace" in error_of(capsys, *add(room, field, features, "--watch", "--replace"))
-    assert "--idle is for --watch" in error_of(capsys, *add(room, field, features, "--idle", "3"))
+    assert "was embedded by 'drsplat-mini" in add.error(made)
+    assert "no view has features" in add.error(_renamed(room))
+    assert "drop --replace" in add.error(features, "--watch", "--replace")
+    assert "--idle is for --watch" in add.error(features, "--idle", "3")
     assert files_of(field) == before
 
 
@@ -194,11 +204,11 @@ def _renamed(room: Path) -> Path:
     return folder
 
 
-def test_a_field_of_an_older_version_says_what_to_do(room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS[:3])
+def test_a_field_of_an_older_version_says_what_to_do(room, capsys, add, register, features):
+    field = register("a.field", *PHOTOS[:3])
     old = ds.load_field(field)
     replace(old, growth=None).save(room / "old.field")
-    said = error_of(capsys, *add(room, room / "old.field", room / "capture/language_features"))
+    said = error_of(capsys, "add", room / "old.field", *add.begin[2:], features)
     assert "does not say how it was made" in said
     assert "`drsplat register`" in said
 
@@ -224,17 +234,17 @@ main({argv})
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["second view", "save"])
-def test_a_killed_run_loses_nothing_and_goes_on(moment: str, room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS[:2])
+def test_a_killed_run_loses_nothing_and_goes_on(moment, room, capsys, add, register, features):
+    field = register("a.field", *PHOTOS[:2])
     before = files_of(field)
-    argv = [*map(str, add(room, field, room / "capture/language_features"))]
+    argv = [*map(str, (*add.begin, features))]
     killed = subprocess.run([sys.executable, "-c", KILLED.format(moment=moment, argv=argv)], check=False)
     assert killed.returncode == -signal.SIGKILL
     assert files_of(field) == before
     parts = sorted((room / "a.field.parts").iterdir())
     assert len(parts) == (1 if moment == "second view" else 2)
     assert len(answer_of(capsys, *argv)["added"]) == 2
-    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS))
+    assert files_of(field) == files_of(register("b.field", *PHOTOS))
     assert not (room / "a.field.parts").exists()
 
 
@@ -253,12 +263,14 @@ main({argv})
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", ["add", "remove"])
-def test_a_command_that_was_killed_when_it_had_ended_is_given_again(verb: str, room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS[:3])
+def test_a_command_that_was_killed_when_it_had_ended_is_given_again(
+    verb, room, capsys, add, remove, register, features
+):
+    field = register("a.field", *PHOTOS[:3])
     entries = sorted(room.iterdir())
-    argv = remove(room, field, "photo_0", "photo_1")
+    argv = (*remove.begin, "photo_0", "photo_1")
     if verb == "add":
-        argv = add(room, field, room / "capture/language_features", "--views", "photo_3")
+        argv = (*add.begin, features, "--views", "photo_3")
     code = KILLED_AFTERWARDS.format(argv=[*map(str, argv)])
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
     after = files_of(field)
@@ -273,7 +285,7 @@ def test_a_command_that_was_killed_when_it_had_ended_is_given_again(verb: str, r
     assert text.startswith("nothing to")
     if verb == "remove":
         assert "were removed before" in text
-        assert answer_of(capsys, *remove(room, field, "photo_*[01]"))["removed"] == []
+        assert remove("photo_*[01]")["removed"] == []
 
 
 FULL = """
@@ -287,11 +299,11 @@ sys.exit(main({argv}))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [300, 12_000])
-def test_a_full_disk_is_told_and_changes_nothing(limit: int, room: Path, capsys: Capture) -> None:
+def test_a_full_disk_is_told_and_changes_nothing(limit, room, capsys, add, register, features):
     """At the first part, and at the field."""
-    field = register(room, capsys, "a.field", *PHOTOS[:2])
+    field = register("a.field", *PHOTOS[:2])
     before = files_of(field)
-    argv = [*map(str, add(room, field, room / "capture/language_features"))]
+    argv = [*map(str, (*add.begin, features))]
     ran = subprocess.run(
         [sys.executable, "-c", FULL.format(limit=limit, argv=argv)], capture_output=True, text=True, check=False
     )
@@ -302,7 +314,7 @@ def test_a_full_disk_is_told_and_changes_nothing(limit: int, room: Path, capsys:
 
 
 @pytest.mark.slow
-def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_capture_that_grows_is_followed(room, capsys, monkeypatch, register):
     """Poses come first, then features view by view, file by file."""
     from drsplat.field.growing import watching
 
@@ -312,7 +324,7 @@ def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypat
     shutil.copytree(room / "capture/images", capture / "images")
     features.mkdir()
     write_cameras_json(capture / "cameras.json", views[:1])
-    field = register(room, capsys, "a.field", *PHOTOS[:1], capture="live")
+    field = register("a.field", *PHOTOS[:1], capture="live")
 
     def write() -> None:
         for number, stem in enumerate(PHOTOS[1:], 2):
@@ -329,10 +341,10 @@ def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypat
     told = answer_of(capsys, *argv)
     writer.join()
     assert told["added"] == [f"{stem}.png" for stem in PHOTOS[1:]]
-    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS, capture="live"))
+    assert files_of(field) == files_of(register("b.field", *PHOTOS, capture="live"))
 
 
-def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room: Path) -> None:
+def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room):
     from drsplat.field.growing.watching import Watch
 
     views, features = ds.read_views(room / "capture"), ds.read_features(some_features(room, "photo_1"))
@@ -348,10 +360,10 @@ def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room: Pa
     assert watch.arrived() is None
 
 
-def test_watching_ends_on_ctrl_c(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_watching_ends_on_ctrl_c(monkeypatch, add, register, features):
     from drsplat.field.growing import watching
 
-    field = register(room, capsys, "a.field", *PHOTOS[:2])
+    field = register("a.field", *PHOTOS[:2])
     monkeypatch.setattr(watching, "EVERY_S", 0.01)
     looks: list[int] = []
     whole = watching.Watch.arrived
@@ -363,7 +375,7 @@ def test_watching_ends_on_ctrl_c(room: Path, capsys: Capture, monkeypatch: pytes
         return whole(self)
 
     monkeypatch.setattr(watching.Watch, "arrived", arrived)
-    told = answer_of(capsys, *add(room, field, room / "capture/language_features", "--watch"))
+    told = add(features, "--watch")
     assert told["added"] == ["photo_2.png", "photo_3.png"]
     assert json.loads((field / "field.json").read_text())["growth"]["level"] == "large"
 
@@ -388,12 +400,10 @@ def swapped(room: Path, capsys: Capture, *more: object, code: int = 0) -> tuple[
     )
 
 
-def test_another_encoder_takes_the_weights_of_a_field(
-    room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_encoder_takes_the_weights_of_a_field(room, capsys, monkeypatch, register):
     from drsplat.field.evidence.aggregation import record
 
-    field = register(room, capsys, "a.field", *PHOTOS, more=("--topk", "7", "--near", "0.3"))
+    field = register("a.field", *PHOTOS, more=("--topk", "7", "--near", "0.3"))
     argv = swapped(room, capsys)
     answer_of(capsys, *argv, "--output", room / "whole.field", "--topk", "7", "--near", "0.3")
     monkeypatch.setattr(record, "view_weights", None)  # no photo is rasterised
@@ -402,8 +412,8 @@ def test_another_encoder_takes_the_weights_of_a_field(
     assert files_of(room / "swapped.field") == files_of(room / "whole.field")
 
 
-def test_weights_of_other_masks_are_refused(room: Path, capsys: Capture) -> None:
-    field = register(room, capsys, "a.field", *PHOTOS)
+def test_weights_of_other_masks_are_refused(room, capsys, register):
+    field = register("a.field", *PHOTOS)
     argv = (*swapped(room, capsys), "--output", room / "b.field", "--weights-of", field)
     assert "drop --topk and --near" in error_of(capsys, *argv, "--topk", "3", "--near", "0.1")
     features = room / "other_encoder"

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from drsplat.errors import FormatError, InputError
 from drsplat.formats.embedding_record import Journal, changes_to
+from refusing import malformed, refused
 
 DOCUMENT, CURE = "0badcafe", "Make it anew."
 CHANGES = [{"stem": "a", "finished": {"masks": 3}}, {"stem": "cam0/b", "finished": None}, {"stem": "\n\u00e4"}]
@@ -30,24 +30,24 @@ def read(path: Path, document: str = DOCUMENT) -> list[dict[str, object]]:
     return [{key: value for key, value in change.items() if key != "crc32"} for change in changes]
 
 
-def test_changes_come_back_in_their_order(path: Path) -> None:
+def test_changes_come_back_in_their_order(path):
     assert read(path) == CHANGES
 
 
-def test_the_journal_of_another_document_is_not_read(path: Path) -> None:
+def test_the_journal_of_another_document_is_not_read(path):
     assert read(path, "deadbeef") == []
     written(path, CHANGES[:1], "deadbeef")  # in place of the other
     assert read(path, "deadbeef") == CHANGES[:1]
 
 
-def test_without_a_journal_nothing_has_changed(tmp_path: Path) -> None:
+def test_without_a_journal_nothing_has_changed(tmp_path):
     assert read(tmp_path / "none.jsonl") == []
     (tmp_path / "folder.jsonl").mkdir()
-    with pytest.raises(InputError, match="expected a file"):
+    with refused("expected a file"):
         read(tmp_path / "folder.jsonl")
 
 
-def test_a_kill_at_any_byte_loses_the_line_that_was_being_written_and_no_other(path: Path) -> None:
+def test_a_kill_at_any_byte_loses_the_line_that_was_being_written_and_no_other(path):
     content = path.read_bytes()
     for size in range(len(content) + 1):
         path.write_bytes(content[:size])
@@ -55,20 +55,20 @@ def test_a_kill_at_any_byte_loses_the_line_that_was_being_written_and_no_other(p
         assert read(path) == CHANGES[: max(lines - 1, 0)]
 
 
-def test_a_changed_byte_is_found_or_drops_the_last_line(path: Path) -> None:
+def test_a_changed_byte_is_found_or_drops_the_last_line(path):
     content = path.read_bytes()
     for at in range(len(content) - 1):
         path.write_bytes(content[:at] + bytes([content[at] ^ 1 << at % 8]) + content[at + 1 :])
-        with pytest.raises(FormatError, match=r"some\.jsonl: line \d"):
+        with malformed(r"some\.jsonl: line \d"):
             read(path)
     path.write_bytes(content[:-1] + b" ")
     assert read(path) == CHANGES[:-1]
 
 
-def test_damage_names_the_line_and_the_cure(path: Path) -> None:
+def test_damage_names_the_line_and_the_cure(path):
     path.write_bytes(path.read_bytes().replace(b"cam0", b"cam1"))
-    with pytest.raises(FormatError, match=r"some\.jsonl: line 3: damaged or edited.*Make it anew\."):
+    with malformed(r"some\.jsonl: line 3: damaged or edited.*Make it anew\."):
         read(path)
     path.write_bytes(b"[]\n")
-    with pytest.raises(FormatError, match=r"line 1: damaged or edited: expected an object"):
+    with malformed(r"line 1: damaged or edited: expected an object"):
         read(path)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
 pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
@@ -64,20 +65,20 @@ def things_with(viewer: Viewer, name: str) -> list[np.ndarray]:
 # --- what is drawn ---
 
 
-def test_splats_are_those_of_the_session_the_most_significant_first(viewer: Viewer) -> None:
+def test_splats_are_those_of_the_session_the_most_significant_first(viewer):
     arrays, shown = viewer.arrays("/view/splats"), viewer.session.shown
     weight = significance(viewer.session.scene.gaussians)
     rows = rows_of(viewer)
     assert (np.diff(weight[rows]) <= 0).all()
-    np.testing.assert_array_equal(np.sort(rows), np.arange(COUNT))
-    np.testing.assert_array_equal(arrays["centers"].reshape(-1, 3), shown.centers[rows])
-    np.testing.assert_array_equal(arrays["covariances"].reshape(-1, 6), shown.covariances[rows].astype(np.float16))
-    np.testing.assert_allclose(arrays["rgb"].reshape(-1, 3) / 255, shown.rgb[rows], atol=0.5 / 255 + 1e-6)
-    np.testing.assert_allclose(arrays["opacity"] / 255, shown.opacities[rows], atol=0.5 / 255 + 1e-6)
+    assert_array_equal(np.sort(rows), np.arange(COUNT))
+    assert_array_equal(arrays["centers"].reshape(-1, 3), shown.centers[rows])
+    assert_array_equal(arrays["covariances"].reshape(-1, 6), shown.covariances[rows].astype(np.float16))
+    assert_allclose(arrays["rgb"].reshape(-1, 3) / 255, shown.rgb[rows], atol=0.5 / 255 + 1e-6)
+    assert_allclose(arrays["opacity"] / 255, shown.opacities[rows], atol=0.5 / 255 + 1e-6)
 
 
-def test_rows_come_in_pieces_of_which_none_is_large(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    viewer.do("ask", text="red mug")
+def test_rows_come_in_pieces_of_which_none_is_large(viewer, monkeypatch):
+    viewer.ask("red mug")
     paths = ("/view/splats", "/view/paint", "/view/colors?mode=features")
     whole = {path: viewer.get(path).content for path in paths}
     sizes = {path: len(content) // COUNT for path, content in whole.items()}
@@ -93,16 +94,16 @@ def test_rows_come_in_pieces_of_which_none_is_large(viewer: Viewer, monkeypatch:
         assert "expected a row below 960" in beyond.text
 
 
-def test_a_budget_is_kept_and_said() -> None:
+def test_a_budget_is_kept_and_said():
     with a_viewer(Session(boxes_scene(), 100)) as viewer:
         assert len(viewer.arrays("/view/splats")["opacity"]) == 100
         assert len(viewer.arrays("/view/paint")["heat"]) == 100
-        assert "100 most significant of 960" in viewer.get("/view/header").json()["about"]
+        assert "100 most significant of 960" in viewer.header()["about"]
 
 
-def test_paint_says_which_query_each_row_is_of(viewer: Viewer) -> None:
-    state = viewer.do("ask", text="red mug; tall lamp")
-    np.testing.assert_array_equal(things_with(viewer, "owner"), [np.arange(EACH), np.arange(2 * EACH, 3 * EACH)])
+def test_paint_says_which_query_each_row_is_of(viewer):
+    state = viewer.ask("red mug; tall lamp")
+    assert_array_equal(things_with(viewer, "owner"), [np.arange(EACH), np.arange(2 * EACH, 3 * EACH)])
     paint = viewer.arrays("/view/paint")
     assert (paint["heat"][paint["owner"] > 0] > 127).all()
     assert (paint["heat"][paint["owner"] == 0] <= 128).all()
@@ -110,22 +111,22 @@ def test_paint_says_which_query_each_row_is_of(viewer: Viewer) -> None:
     assert "object" not in paint
 
 
-def test_answers_are_painted_once_for_all_who_look(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answers_are_painted_once_for_all_who_look(viewer, monkeypatch):
     calls: list[int] = []
     made = arrays.paint
     monkeypatch.setattr(arrays, "paint", lambda stage: calls.append(1) or made(stage))
-    viewer.do("ask", text="mug")
+    viewer.ask("mug")
     for _ in range(3):
         viewer.get("/view/paint")
     viewer.do("annotate", text="here", at="selection")  # which changes nothing that is painted
     viewer.get("/view/paint")
     assert len(calls) == 1
-    viewer.do("ask", text="lamp")
+    viewer.ask("lamp")
     viewer.get("/view/paint")
     assert len(calls) == 2
 
 
-def test_counters_grow_with_what_they_count(viewer: Viewer) -> None:
+def test_counters_grow_with_what_they_count(viewer):
     counts = [viewer.state()]
 
     def grown(act: str, **given: Any) -> set[str]:
@@ -144,12 +145,12 @@ def test_counters_grow_with_what_they_count(viewer: Viewer) -> None:
     assert [count["revision"] for count in counts] == list(range(1, 10))
 
 
-def test_colours_that_only_the_session_knows_are_sent(viewer: Viewer) -> None:
+def test_colours_that_only_the_session_knows_are_sent(viewer):
     viewer.do("classify", text="red mug, blue mug, tall lamp")
     for mode in ("features", "classes"):
         rgb = viewer.arrays("/view/colors", mode=mode)["rgb"].reshape(-1, 3)
         own = Session(viewer.session.scene, mode=Mode(mode), segmentation=viewer.session.segmentation)
-        np.testing.assert_allclose(rgb / 255, own.colors[rows_of(viewer)], atol=0.5 / 255 + 1e-6)
+        assert_allclose(rgb / 255, own.colors[rows_of(viewer)], atol=0.5 / 255 + 1e-6)
     assert viewer.session.mode is Mode.CLASSES
     answer = viewer.get("/view/colors", mode="answer")
     assert answer.status_code == 422
@@ -159,7 +160,7 @@ def test_colours_that_only_the_session_knows_are_sent(viewer: Viewer) -> None:
 # --- the page ---
 
 
-def test_the_page_takes_its_script_and_its_look_from_here(viewer: Viewer) -> None:
+def test_the_page_takes_its_script_and_its_look_from_here(viewer):
     html = viewer.get("/")
     assert html.headers["content-type"] == "text/html; charset=utf-8"
     for name, kind in (("client.js", "text/javascript"), ("client.css", "text/css")):
@@ -173,60 +174,60 @@ def test_the_page_takes_its_script_and_its_look_from_here(viewer: Viewer) -> Non
 # --- the header ---
 
 
-def test_a_header_says_where_to_begin_and_what_can_be_done(viewer: Viewer) -> None:
-    header, session = viewer.get("/view/header").json(), viewer.session
+def test_a_header_says_where_to_begin_and_what_can_be_done(viewer):
+    header, session = viewer.header(), viewer.session
     assert header["title"] == "boxes"
     assert header["modes"] == ["answer", "heat map", "as it is", "features", "classes"]
     can = header["can"]
     assert {name for name, value in can.items() if value is True} == {"ask", "ask_picture", "edit", "photos", "open"}
     assert {".webp", ".gif"} <= set(can["film_formats"])
     view = session.scene.views[1]
-    np.testing.assert_allclose(header["eye"], session.shown.frame.shown(view.center), atol=1e-4)
+    assert_allclose(header["eye"], session.shown.frame.shown(view.center), atol=1e-4)
     photo = header["photos"][1]
     assert (photo["name"], photo["width"], photo["height"]) == (view.name, view.width, view.height)
     ahead = np.array(photo["target"]) - photo["eye"]
-    np.testing.assert_allclose(ahead, view.cam_from_world[2, :3], atol=1e-4)
+    assert_allclose(ahead, view.cam_from_world[2, :3], atol=1e-4)
     assert photo["fov"] == pytest.approx(np.degrees(2 * np.arctan(view.height / 2 / view.K[1, 1])))
     assert header["times"] is None
     assert header["objects"] == []
 
 
-def test_words_are_suggested_once_the_encoder_is_there(viewer: Viewer) -> None:
-    first = viewer.get("/view/header").json()
+def test_words_are_suggested_once_the_encoder_is_there(viewer):
+    first = viewer.header()
     assert first["words"] == []
     viewer.lanes.change(viewer.shared.prepare).result(60)
-    header, state = viewer.get("/view/header").json(), viewer.state()
+    header, state = viewer.header(), viewer.state()
     assert set(header["words"]) <= set(THINGS)
     assert header["words"]
     assert state["header"] == header["header"] > first["header"]
     assert state["scene"] == first["scene"]
 
 
-def test_a_header_lists_objects_with_places_to_see_them_from(furnished: Viewer) -> None:
-    header, session = furnished.get("/view/header").json(), furnished.session
+def test_a_header_lists_objects_with_places_to_see_them_from(furnished):
+    header, session = furnished.header(), furnished.session
     assert [one["number"] for one in header["objects"]] == [0, 1]
     objects, frame = session.scene.objects, session.shown.frame
     for one in header["objects"]:
         match = objects[one["number"]]
-        np.testing.assert_allclose(one["center"], frame.shown(match.center), atol=1e-4)
-        np.testing.assert_allclose(one["extent"], match.extent * frame.scale, atol=1e-4)
+        assert_allclose(one["center"], frame.shown(match.center), atol=1e-4)
+        assert_allclose(one["extent"], match.extent * frame.scale, atol=1e-4)
         eye = before(match, session.scene.gaussians, session.scene.views, furnished.shared.stage.up)
-        np.testing.assert_allclose(one["eye"], frame.shown(eye), atol=1e-4)
+        assert_allclose(one["eye"], frame.shown(eye), atol=1e-4)
         assert one["num_gaussians"] == len(match)
     ids = furnished.arrays("/view/paint")["object"].astype(int) - 1
-    np.testing.assert_array_equal(ids, session.scene.object_ids()[rows_of(furnished)])
+    assert_array_equal(ids, session.scene.object_ids()[rows_of(furnished)])
 
 
 # --- asking ---
 
 
-def test_an_answer_has_boxes_and_a_threshold(viewer: Viewer) -> None:
-    (result,) = viewer.do("ask", text="tall lamp")["results"]
+def test_an_answer_has_boxes_and_a_threshold(viewer):
+    (result,) = viewer.ask("tall lamp")["results"]
     (match,) = result["matches"]
     session = viewer.session
     own = session.results[0].matches[0]
-    np.testing.assert_allclose(match["center"], session.shown.frame.shown(own.center), atol=1e-4)
-    np.testing.assert_allclose(match["axes"], own.axes, atol=1e-4)
+    assert_allclose(match["center"], session.shown.frame.shown(own.center), atol=1e-4)
+    assert_allclose(match["axes"], own.axes, atol=1e-4)
     assert match["place"] == "1.20, 0.00, 0.30"
     assert match["num_gaussians"] == EACH
     assert result["summary"] == f"tall lamp: 1 match, {EACH} Gaussians"
@@ -235,8 +236,8 @@ def test_an_answer_has_boxes_and_a_threshold(viewer: Viewer) -> None:
     assert result["accent"] == [255, 170, 30]
 
 
-def test_a_threshold_moves_the_selection_and_its_own_stays(viewer: Viewer) -> None:
-    before = viewer.do("ask", text="red mug; tall lamp")
+def test_a_threshold_moves_the_selection_and_its_own_stays(viewer):
+    before = viewer.ask("red mug; tall lamp")
     after = viewer.do("threshold", query=0, value=before["results"][0]["limits"][0] - 0.01)
     assert after["selection"] > before["selection"]
     assert after["results"][0]["automatic"] == before["results"][0]["automatic"]
@@ -244,14 +245,14 @@ def test_a_threshold_moves_the_selection_and_its_own_stays(viewer: Viewer) -> No
     assert "no query 7" in viewer.refused("threshold", query=7, value=0.5)
 
 
-def test_nothing_found_and_words_that_are_not_known_are_said(viewer: Viewer) -> None:
-    state = viewer.do("ask", text="elephant")
+def test_nothing_found_and_words_that_are_not_known_are_said(viewer):
+    state = viewer.ask("elephant")
     assert state["message"].startswith("No match for 'elephant'. The best place has")
     (result,) = state["results"]
     assert result["doubt"].startswith("The best place has a cosine of ")
     assert "below the threshold of 0.60" in result["doubt"]
     assert result["instead"] == ["mug", "lamp"]
-    assert viewer.do("ask", text=result["instead"][0])["results"][0]["instead"] == []
+    assert viewer.ask(result["instead"][0])["results"][0]["instead"] == []
     assert "ask: there is no such field: txt. Did you mean 'text'?" in viewer.refused("ask", txt="mug")
     assert "no such field: zoom. There are during, present, act, text" in viewer.refused("ask", text="mug", zoom=2)
     assert state["selection"] == 0
@@ -259,28 +260,28 @@ def test_nothing_found_and_words_that_are_not_known_are_said(viewer: Viewer) -> 
     assert viewer.state()["results"] == []  # it would be read as the answer
 
 
-def test_classes_have_colours_and_counts(viewer: Viewer) -> None:
+def test_classes_have_colours_and_counts(viewer):
     state = viewer.do("classify", text="red mug, blue mug, tall lamp")
     assert state["mode"] == "classes"
     assert [(one["name"], one["count"]) for one in state["classes"]] == [(name, EACH) for name in THINGS]
     assert len({tuple(one["color"]) for one in state["classes"]}) == 3
 
 
-def test_modes_are_those_that_show_something(viewer: Viewer) -> None:
+def test_modes_are_those_that_show_something(viewer):
     assert viewer.do("mode", mode="heat map")["mode"] == "heat map"
     assert "expected one of" in viewer.refused("mode", mode="objects")
     assert viewer.state()["mode"] == "heat map"
 
 
-def test_clear_lets_go_of_everything(viewer: Viewer) -> None:
-    viewer.do("ask", text="red mug")
+def test_clear_lets_go_of_everything(viewer):
+    viewer.ask("red mug")
     viewer.do("click", **ray_to(viewer, CENTERS[0]))
     state = viewer.do("clear")
     assert (state["results"], state["clicked"], state["selection"], state["mode"]) == ([], None, 0, "as it is")
     assert not viewer.arrays("/view/paint")["owner"].any()
 
 
-def test_a_picture_needs_an_encoder_that_sees_and_is_a_picture(viewer: Viewer) -> None:
+def test_a_picture_needs_an_encoder_that_sees_and_is_a_picture(viewer):
     from drsplat.fronts.serving.pictures import png
 
     picture = png(np.zeros((4, 4, 3), np.uint8))
@@ -296,20 +297,20 @@ def test_a_picture_needs_an_encoder_that_sees_and_is_a_picture(viewer: Viewer) -
 # --- pointing ---
 
 
-def test_a_click_says_what_is_there_and_more_of_it_is_found(viewer: Viewer) -> None:
+def test_a_click_says_what_is_there_and_more_of_it_is_found(viewer):
     clicked = viewer.do("click", **ray_to(viewer, CENTERS[2]))["clicked"]
     assert clicked["name"] == clicked["words"][0]["text"] == "tall lamp"
     assert clicked["support"] == [{"view": "view.png", "mask": 2, "share": 1.0}]
     state = viewer.do("more_like_this")
     assert state["selection"] == EACH
-    np.testing.assert_array_equal(things_with(viewer, "owner"), [np.arange(2 * EACH, 3 * EACH)])
+    assert_array_equal(things_with(viewer, "owner"), [np.arange(2 * EACH, 3 * EACH)])
     state = viewer.do("click", origin=[0, 0, 50], direction=[0, 0, 1])
     assert state["clicked"] is None
     assert "Nothing with a feature" in state["message"]
     assert "direction" in viewer.refused("click", origin=[0, 0, 0], direction=[0, 0, 0])
 
 
-def test_a_pixel_of_a_photo_is_a_click(furnished: Viewer) -> None:
+def test_a_pixel_of_a_photo_is_a_click(furnished):
     session = furnished.session
     for number in range(2):
         view = session.scene.views[0]
@@ -320,7 +321,7 @@ def test_a_pixel_of_a_photo_is_a_click(furnished: Viewer) -> None:
     assert "no view" in furnished.refused("click_photo", photo="../secret.png", x=1.0, y=1.0)
 
 
-def test_objects_are_chosen_named_and_made_larger(furnished: Viewer) -> None:
+def test_objects_are_chosen_named_and_made_larger(furnished):
     state = furnished.do("choose", number=1)
     chosen = state["chosen"]
     assert (chosen["number"], chosen["label"], chosen["larger"]) == (1, False, False)
@@ -331,16 +332,16 @@ def test_objects_are_chosen_named_and_made_larger(furnished: Viewer) -> None:
     assert named["chosen"]["name"] == "my ball"
     assert named["chosen"]["label"]
     assert named["header"] > state["header"]
-    header = furnished.get("/view/header").json()
+    header = furnished.header()
     assert [one["name"] for one in header["objects"]][1] == "my ball · 1"
     assert "my ball" in header["words"]
-    assert furnished.do("ask", text="my ball")["selection"] == state["selection"]
+    assert furnished.ask("my ball")["selection"] == state["selection"]
     assert "no object" in furnished.refused("choose", number=2)
     furnished.do("clear")
     assert "no object is selected" in furnished.refused("name", text="x")
 
 
-def test_an_outline_selects_what_is_seen_inside_it(viewer: Viewer) -> None:
+def test_an_outline_selects_what_is_seen_inside_it(viewer):
     """From the side: a square about the lamp's middle in the picture, drawn at another size than the browser's."""
     seen_from = camera(viewer, eye=(0.0, -6.0, 0.0)) | {"width": 1600, "height": 1200}
     scale = 1200 / (2 * np.tan(np.radians(25)) * 6)
@@ -353,7 +354,7 @@ def test_an_outline_selects_what_is_seen_inside_it(viewer: Viewer) -> None:
     assert len(np.intersect1d(ids, lamp)) > EACH / 4  # those that are seen, not those behind them
     assert state["selection"] == len(ids)
     assert state["results"][0]["exact"]
-    np.testing.assert_array_equal(things_with(viewer, "owner"), [ids])
+    assert_array_equal(things_with(viewer, "owner"), [ids])
     assert "nothing is seen" in viewer.refused("lasso", polygon=[[0, 0], [1, 0], [0, 1]], camera=seen_from)
     viewer.do("edit", change="remove")
     assert viewer.session.hidden[ids].all()
@@ -362,8 +363,8 @@ def test_an_outline_selects_what_is_seen_inside_it(viewer: Viewer) -> None:
 # --- changing ---
 
 
-def test_edits_change_what_is_drawn_and_are_undone(viewer: Viewer) -> None:
-    viewer.do("ask", text="red mug")
+def test_edits_change_what_is_drawn_and_are_undone(viewer):
+    viewer.ask("red mug")
     plain = viewer.shared.splats()
     state = viewer.do("edit", change="recolour", color="#2060ff")
     assert [(one["what"], one["target"], one["done"]) for one in state["edits"]] == [("recolour", "“red mug”", True)]
@@ -396,8 +397,8 @@ def test_edits_change_what_is_drawn_and_are_undone(viewer: Viewer) -> None:
         ("scale", {"number": 1.5}),
     ],
 )
-def test_each_change_is_drawn(viewer: Viewer, change: str, given: dict[str, Any]) -> None:
-    viewer.do("ask", text="red mug")
+def test_each_change_is_drawn(viewer, change, given):
+    viewer.ask("red mug")
     before = viewer.arrays("/view/splats")
     state = viewer.do("edit", change=change, **given)
     after = viewer.arrays("/view/splats")
@@ -419,17 +420,17 @@ def test_each_change_is_drawn(viewer: Viewer, change: str, given: dict[str, Any]
         ({"change": "opacity"}, "expected a number"),
     ],
 )
-def test_a_change_that_cannot_be_made_leaves_the_scene(viewer: Viewer, given: dict[str, Any], reason: str) -> None:
+def test_a_change_that_cannot_be_made_leaves_the_scene(viewer, given, reason):
     import re
 
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     before = viewer.shared.splats()
     assert re.search(reason, viewer.refused("edit", **given))
     assert viewer.shared.splats() == before
     assert viewer.state()["edits"] == []
 
 
-def test_edits_and_annotations_are_kept_beside_the_scene(furnished: Viewer, room: Path) -> None:
+def test_edits_and_annotations_are_kept_beside_the_scene(furnished, room):
     furnished.do("choose", number=0)
     state = furnished.do("edit", change="move", by=[0, 0, 0.5])
     assert state["kept"]
@@ -439,25 +440,25 @@ def test_edits_and_annotations_are_kept_beside_the_scene(furnished: Viewer, room
         anew = again.state()
         assert [one["what"] for one in anew["edits"]] == ["move"]
         assert [one["text"] for one in anew["annotations"]] == ["the red one"]
-        np.testing.assert_array_equal(again.arrays("/view/splats")["centers"], moved_centers(furnished))
+        assert_array_equal(again.arrays("/view/splats")["centers"], moved_centers(furnished))
 
 
 def moved_centers(viewer: Viewer) -> np.ndarray:
     return viewer.arrays("/view/splats")["centers"]
 
 
-def test_annotations_are_at_boxes_and_at_clicks(viewer: Viewer) -> None:
+def test_annotations_are_at_boxes_and_at_clicks(viewer):
     assert "nothing is selected" in viewer.refused("annotate", text="x", at="selection")
     assert "click something" in viewer.refused("annotate", text="x", at="click")
-    viewer.do("ask", text="tall lamp")
+    viewer.ask("tall lamp")
     (box,) = viewer.do("annotate", text="a lamp", at="selection")["annotations"]
     match = viewer.state()["results"][0]["matches"][0]
-    np.testing.assert_allclose(box["center"], match["center"], atol=1e-3)
-    np.testing.assert_allclose(box["extent"], match["extent"], atol=1e-3)
+    assert_allclose(box["center"], match["center"], atol=1e-3)
+    assert_allclose(box["extent"], match["extent"], atol=1e-3)
     clicked = viewer.do("click", **ray_to(viewer, CENTERS[0]))["clicked"]
     _, point = viewer.do("annotate", text="here", at="click")["annotations"]
     assert (point["text"], "extent" in point) == ("here", False)
-    np.testing.assert_allclose(point["center"], clicked["center"], atol=1e-4)
+    assert_allclose(point["center"], clicked["center"], atol=1e-4)
     assert [one["text"] for one in viewer.do("drop_annotation", number=1)["annotations"]] == ["here"]
     assert "annotation" in viewer.refused("drop_annotation", number=7)
 
@@ -465,49 +466,49 @@ def test_annotations_are_at_boxes_and_at_clicks(viewer: Viewer) -> None:
 # --- time ---
 
 
-def test_a_scene_that_moves_is_drawn_and_boxed_at_its_time() -> None:
+def test_a_scene_that_moves_is_drawn_and_boxed_at_its_time():
     scene = passing_red_scene()
     with a_viewer(Session(scene)) as viewer:
-        times = viewer.get("/view/header").json()["times"]
+        times = viewer.header()["times"]
         assert (times["first"], times["last"], times["count"]) == (0.0, 1.0, len(scene.moving.times))
-        first = viewer.do("ask", text="red car")
+        first = viewer.ask("red car")
         assert first["time"] == {"at": 0.0, "during": None}
         before, rows = viewer.arrays("/view/splats")["centers"].reshape(-1, 3), rows_of(viewer)
         last = viewer.do("time", at=1.0)
         after = viewer.arrays("/view/splats")["centers"].reshape(-1, 3)
-        np.testing.assert_array_equal(rows_of(viewer), rows)  # the same rows, elsewhere
+        assert_array_equal(rows_of(viewer), rows)  # the same rows, elsewhere
         frame = viewer.session.shown.frame
-        np.testing.assert_allclose(after, frame.shown(scene.moving.at(1.0).positions)[rows], atol=1e-4)
+        assert_allclose(after, frame.shown(scene.moving.at(1.0).positions)[rows], atol=1e-4)
         assert (np.abs(after - before).max(axis=1) > 1).sum() == 100
         ways = [state["results"][0]["matches"][0]["center"] for state in (first, last)]
         assert (ways[1][1] - ways[0][1]) / frame.scale == pytest.approx(2.0, abs=0.1)
         assert viewer.do("time", at=99.0)["time"]["at"] == 1.0
 
 
-def test_queries_ask_of_a_span_of_time() -> None:
+def test_queries_ask_of_a_span_of_time():
     with a_viewer(Session(passing_red_scene())) as viewer:
-        state = viewer.do("ask", text="red car", during=[0.0, 0.3])
+        state = viewer.ask("red car", during=[0.0, 0.3])
         assert state["time"]["during"] == [0.0, 0.3]
         seen = {viewer.session.scene.view(one.view_name).time for one in viewer.session.results[0].matches[0].support}
         assert max(time for time in seen if time is not None) <= 0.3
-        assert viewer.do("ask", text="red car")["time"]["during"] == [0.0, 0.3]
+        assert viewer.ask("red car")["time"]["during"] == [0.0, 0.3]
         assert viewer.do("during", span=[0, 1])["time"]["during"] is None
         assert "before its end" in viewer.refused("during", span=[0.5, 0.2])
 
 
-def test_a_scene_that_stands_still_has_no_time(viewer: Viewer) -> None:
+def test_a_scene_that_stands_still_has_no_time(viewer):
     for act in ({"act": "time", "at": 0.5}, {"act": "during", "span": None}):
-        assert viewer.refused(**act)  # type: ignore[arg-type]
+        assert viewer.refused(**act)
     assert viewer.state()["time"] is None
 
 
 # --- a scene without a field ---
 
 
-def test_a_scene_without_a_field_is_seen_outlined_and_edited_but_not_asked(tmp_path: Path) -> None:
+def test_a_scene_without_a_field_is_seen_outlined_and_edited_but_not_asked(tmp_path):
     write_gaussians(tmp_path / "plain.ply", replace(random_gaussians(80), opacities=np.full(80, 0.9, np.float32)))
     with a_viewer(Session(opened(tmp_path / "plain.ply"))) as viewer:
-        header = viewer.get("/view/header").json()
+        header = viewer.header()
         assert not header["can"]["ask"]
         assert header["can"]["edit"]
         assert "no field" in header["about"]
@@ -519,12 +520,3 @@ def test_a_scene_without_a_field_is_seen_outlined_and_edited_but_not_asked(tmp_p
         assert (viewer.arrays("/view/splats")["opacity"] > 0).sum() >= seen
         assert "Nothing with a feature" in viewer.do("click", origin=[0, 0, -9], direction=[0, 0, 1])["message"]
         assert viewer.do("restore")["edits"][0]["done"] is False
-
-
-def test_two_pages_see_and_change_the_same_session(viewer: Viewer) -> None:
-    """Each request is a page of its own; all show what the last one did."""
-    one = viewer.do("ask", text="red mug")
-    other = viewer.state()
-    assert other == one
-    viewer.do("mode", mode="heat map")
-    assert viewer.state()["mode"] == "heat map"

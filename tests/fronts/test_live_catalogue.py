@@ -11,7 +11,7 @@ from PIL import Image
 from test_catalogue import WORDS
 
 from catalogued import boxes_of, write_scene
-from command_line import Capture, error_of
+from command_line import error_of
 from drsplat import read_gaussians
 from live_clients import Browser, Viewer, a_viewer
 from live_clients import error_of as refusal_of
@@ -45,8 +45,8 @@ def scenes_of(viewer: Viewer, text: str) -> list[str]:
     return [entry["scene"] for entry in answer.json()["entries"]]
 
 
-def test_answers_have_thumbnails(viewer: Viewer) -> None:
-    assert viewer.get("/view/header").json()["can"]["catalogue"]
+def test_answers_have_thumbnails(viewer):
+    assert viewer.header()["can"]["catalogue"]
     assert scenes_of(viewer, "mug") == ["kitchen", "o'hara"]
     for number in range(2):
         picture = viewer.get("/view/catalogue-picture", number=number)
@@ -58,7 +58,7 @@ def test_answers_have_thumbnails(viewer: Viewer) -> None:
     refusal_of(viewer.post("/view/catalogue", {"text": "point, not"}), 422)
 
 
-def test_each_browser_opens_what_it_has_found_itself(viewer: Viewer) -> None:
+def test_each_browser_opens_what_it_has_found_itself(viewer):
     one, other = Browser(viewer), Browser(viewer)
     assert scenes_of(one, "mug") == ["kitchen", "o'hara"]
     assert "no entry 0" in other.refused("open_entry", number=0)
@@ -67,7 +67,7 @@ def test_each_browser_opens_what_it_has_found_itself(viewer: Viewer) -> None:
     assert (one.state()["selection"] > 0, other.state()["selection"]) == (True, 0)  # the scene is open for all
 
 
-def test_an_entry_opens_its_scene_at_the_object(viewer: Viewer) -> None:
+def test_an_entry_opens_its_scene_at_the_object(viewer):
     assert "no entry 0" in viewer.refused("open_entry", number=0)
     scenes_of(viewer, "mug")
     state = viewer.do("open_entry", number=1)
@@ -84,7 +84,7 @@ def test_an_entry_opens_its_scene_at_the_object(viewer: Viewer) -> None:
     assert len(viewer.arrays("/view/splats")["opacity"]) == len(viewer.session.drawn)
 
 
-def test_a_scene_that_changed_or_went_is_told_without_its_folder(viewer: Viewer, folder: Path) -> None:
+def test_a_scene_that_changed_or_went_is_told_without_its_folder(viewer, folder):
     gaussians = read_gaussians(folder / "kitchen/scene.ply")
     shutil.copytree(folder / "kitchen/a.field", folder / "before")
     scenes_of(viewer, "red mug")
@@ -92,7 +92,6 @@ def test_a_scene_that_changed_or_went_is_told_without_its_folder(viewer: Viewer,
     try:
         assert "has changed since" in viewer.do("open_entry", number=0)["message"]
         (folder / "kitchen").rename(folder / "gone")
-        assert viewer.shared.shelf is not None
         viewer.shared.shelf.opened, stage = ("", ""), viewer.shared._stage
         viewer.shared._stage = None
         said = viewer.refused("open_entry", number=0)
@@ -106,7 +105,7 @@ def test_a_scene_that_changed_or_went_is_told_without_its_folder(viewer: Viewer,
         (folder / "before").rename(folder / "kitchen/a.field")
 
 
-def test_the_command_line(folder: Path, capsys: Capture) -> None:
+def test_the_command_line(folder, capsys):
     assert "expected a scene, or --catalogue" in error_of(capsys, "view")
     assert "expected a scene, or --catalogue" in error_of(capsys, "view", folder, "--catalogue", folder)
     for option, value in (("--up", "+z"), ("--ask", "mug")):

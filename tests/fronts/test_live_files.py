@@ -11,6 +11,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
@@ -60,8 +61,8 @@ def pixels_of(answer: Any, kind: str) -> np.ndarray:
 # --- pictures ---
 
 
-def test_a_picture_is_what_the_renderer_draws_of_what_is_shown(viewer: Viewer) -> None:
-    viewer.do("ask", text="tall lamp")
+def test_a_picture_is_what_the_renderer_draws_of_what_is_shown(viewer):
+    viewer.ask("tall lamp")
     seen_from = camera(viewer)
     drawn = pixels_of(viewer.post("/view/picture", {"camera": seen_from}), "PNG")
     assert drawn.shape == (240, 320, 3)
@@ -74,8 +75,8 @@ def test_a_picture_is_what_the_renderer_draws_of_what_is_shown(viewer: Viewer) -
     error_of(viewer.post("/view/picture", {"camera": seen_from | {"eye": seen_from["target"]}}), 422)
 
 
-def test_before_and_after_are_side_by_side(viewer: Viewer) -> None:
-    viewer.do("ask", text="red mug; tall lamp; blue mug")
+def test_before_and_after_are_side_by_side(viewer):
+    viewer.ask("red mug; tall lamp; blue mug")
     viewer.do("edit", change="remove")
     both = pixels_of(viewer.post("/view/before-after", {"camera": camera(viewer)}), "PNG").astype(int)
     before, after = both[:, :320], both[:, 320:]
@@ -84,8 +85,8 @@ def test_before_and_after_are_side_by_side(viewer: Viewer) -> None:
     assert before.sum() > after.sum()
 
 
-def test_photos_are_those_of_the_scene_and_no_others(furnished: Viewer) -> None:
-    name = furnished.get("/view/header").json()["photos"][0]["name"]
+def test_photos_are_those_of_the_scene_and_no_others(furnished):
+    name = furnished.header()["photos"][0]["name"]
     photo = pixels_of(furnished.get("/view/photo", name=name, side=32), "JPEG")
     assert max(photo.shape) == 32
     for bad in ("../secret.png", "/etc/passwd", ""):
@@ -94,17 +95,17 @@ def test_photos_are_those_of_the_scene_and_no_others(furnished: Viewer) -> None:
         error_of(furnished.get("/view/photo", name=name, side=side), 422)
 
 
-def test_objects_have_pictures_that_are_drawn_once(furnished: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_objects_have_pictures_that_are_drawn_once(furnished, monkeypatch):
     red, blue = (pixels_of(furnished.get("/view/object-picture", number=n), "JPEG").astype(int) for n in (0, 1))
     assert red.shape == blue.shape
     assert (red != blue).any()
     monkeypatch.setattr(files, "pictures_of", None)
-    np.testing.assert_array_equal(pixels_of(furnished.get("/view/object-picture", number=0), "JPEG"), red)
+    assert_array_equal(pixels_of(furnished.get("/view/object-picture", number=0), "JPEG"), red)
     assert "no object 7" in error_of(furnished.get("/view/object-picture", number=7), 422)
     error_of(furnished.get("/view/object-picture"), 422)
 
 
-def test_a_click_has_the_photo_of_most_support(furnished: Viewer) -> None:
+def test_a_click_has_the_photo_of_most_support(furnished):
     assert "no photo" in error_of(furnished.get("/view/clicked-photo"), 422)
     session = furnished.session
     view = session.scene.views[0]
@@ -116,8 +117,8 @@ def test_a_click_has_the_photo_of_most_support(furnished: Viewer) -> None:
 # --- files ---
 
 
-def test_a_scene_and_a_selection_are_saved_and_sent(viewer: Viewer, tmp_path: Path) -> None:
-    viewer.do("ask", text="tall lamp")
+def test_a_scene_and_a_selection_are_saved_and_sent(viewer, tmp_path):
+    viewer.ask("tall lamp")
     whole = viewer.post("/view/save", {"what": "scene"})
     assert whole.headers["content-disposition"] == 'attachment; filename="found.ply"'
     path = Path(unquote(whole.headers["x-drsplat-saved"]))
@@ -131,7 +132,7 @@ def test_a_scene_and_a_selection_are_saved_and_sent(viewer: Viewer, tmp_path: Pa
     assert "nothing is selected" in error_of(viewer.post("/view/save", {"what": "selection"}), 422)
 
 
-def test_without_a_folder_files_are_only_sent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_a_folder_files_are_only_sent(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     with a_viewer() as viewer:
         answer = viewer.post("/view/save", {"what": "scene"})
@@ -142,7 +143,7 @@ def test_without_a_folder_files_are_only_sent(monkeypatch: pytest.MonkeyPatch, t
         assert "--save-dir" in error_of(viewer.post("/view/save", {"what": "scene"}), 422)
 
 
-def test_a_swing_is_about_the_best_match_or_what_is_looked_at(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_swing_is_about_the_best_match_or_what_is_looked_at(viewer, monkeypatch):
     targets = []
 
     def swung(session: Session, eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> bytes:
@@ -153,29 +154,29 @@ def test_a_swing_is_about_the_best_match_or_what_is_looked_at(viewer: Viewer, mo
     assert "camera" in error_of(viewer.post("/view/save", {"what": "swing"}), 422)
     looked = camera(viewer, target=(0.5, 0.5, 0.5))
     assert viewer.post("/view/save", {"what": "swing", "camera": looked}).content == b"GIF89a"
-    viewer.do("ask", text="tall lamp")
+    viewer.ask("tall lamp")
     viewer.post("/view/save", {"what": "swing", "camera": looked})
-    np.testing.assert_allclose(targets[0], (0.5, 0.5, 0.5), atol=1e-6)
-    np.testing.assert_allclose(targets[1], viewer.session.results[0].matches[0].center)
+    assert_allclose(targets[0], (0.5, 0.5, 0.5), atol=1e-6)
+    assert_allclose(targets[1], viewer.session.results[0].matches[0].center)
 
 
-def test_a_path_is_saved_as_render_takes_it_and_comes_back(viewer: Viewer, tmp_path: Path) -> None:
+def test_a_path_is_saved_as_render_takes_it_and_comes_back(viewer, tmp_path):
     sent = viewer.post("/view/path", {"keys": KEYS, "seconds": 3.0, "closed": True})
     path, frame = read_path(tmp_path / "saved/path.json"), viewer.session.shown.frame
     assert (path.seconds, path.closed, len(path.keys)) == (3.0, True, 2)
-    np.testing.assert_allclose(path.keys[0].eye, frame.world(np.array(KEYS[0]["eye"])))
+    assert_allclose(path.keys[0].eye, frame.world(np.array(KEYS[0]["eye"])))
     back = viewer.post("/view/load-path", sent.content)
     assert back.status_code == 200
     loaded = back.json()
     assert (loaded["seconds"], loaded["closed"]) == (3.0, True)
     for own, other in zip(KEYS, loaded["keys"], strict=True):
-        np.testing.assert_allclose(other["eye"], own["eye"], atol=1e-6)
+        assert_allclose(other["eye"], own["eye"], atol=1e-6)
         ahead = np.array(own["target"], float) - own["eye"]
-        np.testing.assert_allclose(np.array(other["target"]) - other["eye"], ahead / np.linalg.norm(ahead), atol=1e-6)
+        assert_allclose(np.array(other["target"]) - other["eye"], ahead / np.linalg.norm(ahead), atol=1e-6)
         assert other["fov"] == pytest.approx(own["fov"])
 
 
-def test_a_path_of_nerfstudio_is_loaded_and_what_is_none_is_refused(viewer: Viewer, tmp_path: Path) -> None:
+def test_a_path_of_nerfstudio_is_loaded_and_what_is_none_is_refused(viewer, tmp_path):
     document = nerfstudio_file()
     loaded = viewer.post("/view/load-path", json.dumps(document).encode()).json()
     assert len(loaded["keys"]) == len(document["camera_path"])
@@ -186,24 +187,24 @@ def test_a_path_of_nerfstudio_is_loaded_and_what_is_none_is_refused(viewer: View
 @pytest.mark.parametrize(
     "keys", [[], KEYS[:1], [KEYS[0]] * 201, [{"eye": [0, 0, 0], "target": [0, 0, 0], "fov": 50}] * 2]
 )
-def test_what_is_no_path_is_refused(viewer: Viewer, keys: list[Any]) -> None:
+def test_what_is_no_path_is_refused(viewer, keys):
     for path, more in (("/view/path", {}), ("/view/film", {"format": ".gif"})):
         error_of(viewer.post(path, {"keys": keys} | more), 422)
 
 
-def test_a_film_is_drawn_in_the_colours_of_the_moment(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_film_is_drawn_in_the_colours_of_the_moment(viewer, monkeypatch):
     monkeypatch.setattr(files, "FILM_SIZE_PIXELS", (64, 48))
     film = viewer.post("/view/film", {"keys": KEYS, "seconds": 0.25, "format": ".gif"})
     assert film.headers["content-disposition"] == 'attachment; filename="film.gif"'
     with Image.open(io.BytesIO(film.content)) as picture:
-        assert (picture.format, picture.size, picture.n_frames) == ("GIF", (64, 48), 6)  # type: ignore[attr-defined]
+        assert (picture.format, picture.size, picture.n_frames) == ("GIF", (64, 48), 6)
     monkeypatch.setattr(files, "film_formats", lambda: (".webp", ".gif"))
     assert "ffmpeg" in error_of(viewer.post("/view/film", {"keys": KEYS, "seconds": 0.25, "format": ".mp4"}), 422)
     error_of(viewer.post("/view/film", {"keys": KEYS, "seconds": 61, "format": ".gif"}), 422)
     error_of(viewer.post("/view/film", {"keys": KEYS, "format": "/../x.gif"}), 422)
 
 
-def test_a_film_that_nobody_waits_for_ends(viewer: Viewer, tmp_path: Path) -> None:
+def test_a_film_that_nobody_waits_for_ends(viewer, tmp_path):
     gone = threading.Event()
     gone.set()
     asked = files.Film.model_validate_json(json.dumps({"keys": KEYS, "seconds": 60, "format": ".gif"}))
@@ -212,8 +213,8 @@ def test_a_film_that_nobody_waits_for_ends(viewer: Viewer, tmp_path: Path) -> No
     assert list((tmp_path / "saved").iterdir()) == []
 
 
-def test_a_page_has_the_queries_that_are_answered_now(furnished: Viewer) -> None:
-    furnished.do("ask", text="red mug; blue mug")
+def test_a_page_has_the_queries_that_are_answered_now(furnished):
+    furnished.ask("red mug; blue mug")
     page = furnished.post("/view/page", {})
     assert page.status_code == 200, page.text
     assert page.headers["content-disposition"] == 'attachment; filename="page.html"'
@@ -224,15 +225,15 @@ def test_a_page_has_the_queries_that_are_answered_now(furnished: Viewer) -> None
 # --- scenes that are sent ---
 
 
-def test_a_scene_that_is_sent_is_shown_in_place_of_the_one_before(viewer: Viewer, tmp_path: Path) -> None:
+def test_a_scene_that_is_sent_is_shown_in_place_of_the_one_before(viewer, tmp_path):
     write_gaussians(tmp_path / "sent.ply", random_gaussians(70))
-    before = viewer.do("ask", text="red mug")
+    before = viewer.ask("red mug")
     state = viewer.post("/view/open?name=sent.ply", (tmp_path / "sent.ply").read_bytes()).json()
     assert state["scene"] == before["scene"] + 1
     assert state["results"] == []
     assert "sent" in state["message"]
     assert not state["kept"]
-    assert viewer.get("/view/header").json()["title"] == "sent"
+    assert viewer.header()["title"] == "sent"
     assert len(viewer.arrays("/view/splats")["opacity"]) == 70
     root = viewer.shared.uploads.root
     assert len(list(root.rglob("*.ply"))) == 1
@@ -240,8 +241,8 @@ def test_a_scene_that_is_sent_is_shown_in_place_of_the_one_before(viewer: Viewer
     assert [path.name for path in root.rglob("*.ply")] == ["again.ply"]  # the files of the one before are gone
 
 
-def test_a_folder_that_is_sent_file_by_file_answers_words(viewer: Viewer, room: Path) -> None:
-    viewer.do("ask", text="red mug")
+def test_a_folder_that_is_sent_file_by_file_answers_words(viewer, room):
+    viewer.ask("red mug")
     for path in sorted(room.rglob("*")):
         if path.is_file():
             name = f"room/{path.relative_to(room)}"
@@ -249,13 +250,13 @@ def test_a_folder_that_is_sent_file_by_file_answers_words(viewer: Viewer, room: 
             assert answer.status_code == 200, answer.text
     state = viewer.do("open", batch="b1")
     assert state["message"].startswith("opened room")
-    assert viewer.do("ask", text="red mug")["selection"] > 0
-    assert viewer.get("/view/header").json()["can"]["objects"]
+    assert viewer.ask("red mug")["selection"] > 0
+    assert viewer.header()["can"]["objects"]
     assert "sent before" in viewer.refused("open", batch="b1")
 
 
-def test_what_cannot_be_opened_leaves_what_is_shown(viewer: Viewer, room: Path, tmp_path: Path) -> None:
-    before = viewer.do("ask", text="red mug")
+def test_what_cannot_be_opened_leaves_what_is_shown(viewer, room, tmp_path):
+    before = viewer.ask("red mug")
     for name, data in (("a.ply", b"ply\nnonsense"), ("a.txt", b"hello"), ("a.sog", b"PK\x03\x04"), ("a.splat", b"x")):
         error_of(viewer.post(f"/view/open?name={name}", data), 422)
     shutil.rmtree(room / "room.field")
@@ -267,7 +268,7 @@ def test_what_cannot_be_opened_leaves_what_is_shown(viewer: Viewer, room: Path, 
     assert [path for path in viewer.shared.uploads.root.rglob("*") if path.is_file()] == []
 
 
-def test_lists_of_edits_that_are_sent_are_not_done(viewer: Viewer, room: Path) -> None:
+def test_lists_of_edits_that_are_sent_are_not_done(viewer, room):
     """They may name any scene of this machine to take an object from."""
     own = open_scene(room / "room.field", scene=room / "scene.ply", threads=1)
     session = Session(own)
@@ -291,7 +292,7 @@ def test_lists_of_edits_that_are_sent_are_not_done(viewer: Viewer, room: Path) -
         (["frames/0001.ply", "frames/0002.ply"], "frames"),
     ],
 )
-def test_what_is_sent_is_found_in_its_folders(files: list[str], root: str, tmp_path: Path) -> None:
+def test_what_is_sent_is_found_in_its_folders(files, root, tmp_path):
     for name in files:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(b"")
@@ -301,12 +302,12 @@ def test_what_is_sent_is_found_in_its_folders(files: list[str], root: str, tmp_p
 # --- without a scene ---
 
 
-def test_where_no_scene_is_open_that_is_said() -> None:
+def test_where_no_scene_is_open_that_is_said():
     with a_viewer(Session(boxes_scene(), words=THINGS)) as viewer:
-        full = set(viewer.state()), set(viewer.get("/view/header").json()["can"])
+        full = set(viewer.state()), set(viewer.header()["can"])
         viewer.shared._stage = None
         viewer.shared.note()
-        assert (set(viewer.state()), set(viewer.get("/view/header").json()["can"])) == full
+        assert (set(viewer.state()), set(viewer.header()["can"])) == full
         assert len(viewer.arrays("/view/splats")["centers"]) == 0
         assert len(viewer.arrays("/view/paint")["owner"]) == 0
         assert "no scene is open" in viewer.refused("ask", text="mug")
@@ -317,7 +318,7 @@ def test_where_no_scene_is_open_that_is_said() -> None:
         assert "no catalogue" in viewer.refused("open_entry", number=0)
 
 
-def test_nothing_is_left_on_the_disk_when_the_viewer_ends(viewer: Viewer) -> None:
+def test_nothing_is_left_on_the_disk_when_the_viewer_ends(viewer):
     viewer.post("/view/upload?batch=b&name=a.ply", b"ply")
     root = viewer.shared.uploads.root
     assert root.exists()
@@ -325,22 +326,22 @@ def test_nothing_is_left_on_the_disk_when_the_viewer_ends(viewer: Viewer) -> Non
     assert not root.exists()
 
 
-def test_a_flight_passes_the_key_frames_as_the_film_does(viewer: Viewer) -> None:
+def test_a_flight_passes_the_key_frames_as_the_film_does(viewer):
     keys = [{"eye": [4.0 * k, -8.0, 3.0], "target": [0.0, 0.0, float(k)], "fov": 50.0} for k in range(3)]
     flight = viewer.post("/view/flight", {"keys": keys, "seconds": 2.0}).json()
     assert flight["seconds"] == 2.0
     assert len(flight["eyes"]) == len(flight["targets"]) == len(flight["fovs"]) == 24
-    np.testing.assert_allclose(flight["eyes"][0], keys[0]["eye"], atol=1e-3)
-    np.testing.assert_allclose(flight["eyes"][-1], keys[-1]["eye"], atol=1e-3)
+    assert_allclose(flight["eyes"][0], keys[0]["eye"], atol=1e-3)
+    assert_allclose(flight["eyes"][-1], keys[-1]["eye"], atol=1e-3)
     apart = np.linalg.norm(np.array(flight["eyes"]) - keys[1]["eye"], axis=1)
     assert apart.min() < 0.5
     ahead = np.array(flight["targets"][0]) - flight["eyes"][0]
     meant = np.array(keys[0]["target"]) - keys[0]["eye"]
-    np.testing.assert_allclose(ahead / np.linalg.norm(ahead), meant / np.linalg.norm(meant), atol=1e-3)
+    assert_allclose(ahead / np.linalg.norm(ahead), meant / np.linalg.norm(meant), atol=1e-3)
 
 
-def test_a_scene_is_saved_with_its_objects_matches_and_edits(furnished: Viewer, tmp_path: Path) -> None:
-    furnished.do("ask", text="red mug")
+def test_a_scene_is_saved_with_its_objects_matches_and_edits(furnished, tmp_path):
+    furnished.ask("red mug")
     answer = furnished.post("/view/save", {"what": "scene", "format": ".glb"})
     assert answer.status_code == 200, answer.text
     glb = Read.of(answer.content)
@@ -350,7 +351,7 @@ def test_a_scene_is_saved_with_its_objects_matches_and_edits(furnished: Viewer, 
     assert before["extras"]["query"] == "red mug"
     furnished.do("edit", change="move", by=[0.0, 0.0, 2.0])
     moved = Read.of(furnished.post("/view/save", {"what": "scene", "format": ".glb"}).content)
-    np.testing.assert_allclose(
+    assert_allclose(
         np.array(moved.document["nodes"][number]["translation"]) - before["translation"], [0, 0, 2], atol=1e-4
     )
     part = Read.of(furnished.post("/view/save", {"what": "selection", "format": ".glb"}).content)
@@ -361,7 +362,7 @@ def test_a_scene_is_saved_with_its_objects_matches_and_edits(furnished: Viewer, 
     error_of(furnished.post("/view/save", {"what": "scene", "format": ".obj"}), 422)
 
 
-def test_pictures_of_objects_are_drawn_before_anybody_asks(furnished: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_of_objects_are_drawn_before_anybody_asks(furnished, monkeypatch):
     furnished.app.state.viewer.prepare()
     furnished.lanes.files.complete(lambda: None).result(60)
     monkeypatch.setattr(files, "pictures_of", None)

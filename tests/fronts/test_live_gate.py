@@ -66,7 +66,7 @@ def resident_bytes() -> int:
         {"sec-fetch-site": "same-site"},
     ],
 )
-def test_other_pages_and_names_get_no_page_and_do_nothing(viewer: Viewer, headers: dict[str, str]) -> None:
+def test_other_pages_and_names_get_no_page_and_do_nothing(viewer, headers):
     own = {"host": HOST} | headers
     for path in ("/", "/client.js", "/view/header", "/view/state", "/view/splats", "/view/events", "/view/none"):
         answer = viewer.send("GET", path, own)
@@ -77,7 +77,7 @@ def test_other_pages_and_names_get_no_page_and_do_nothing(viewer: Viewer, header
 
 
 @pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "[::1]"])
-def test_its_own_page_comes_in_by_every_name_of_this_machine(viewer: Viewer, name: str) -> None:
+def test_its_own_page_comes_in_by_every_name_of_this_machine(viewer, name):
     here = {"host": f"{name}:{8080}"}
     assert viewer.send("GET", "/", here).status_code == 200
     own = here | {"origin": f"http://{name}:8080"}
@@ -85,7 +85,7 @@ def test_its_own_page_comes_in_by_every_name_of_this_machine(viewer: Viewer, nam
     assert [result.label for result in viewer.session.results] == ["tall lamp"]
 
 
-def test_a_link_from_elsewhere_leads_to_the_page_and_to_nothing_else(viewer: Viewer) -> None:
+def test_a_link_from_elsewhere_leads_to_the_page_and_to_nothing_else(viewer):
     link = {"host": HOST, "sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
     assert viewer.send("GET", "/", link).status_code == 200
     error_of(viewer.send("GET", "/view/header", link), 403)
@@ -95,13 +95,13 @@ def test_a_link_from_elsewhere_leads_to_the_page_and_to_nothing_else(viewer: Vie
 @pytest.mark.parametrize(
     "content_type", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x", ""]
 )
-def test_a_form_of_any_page_changes_nothing(viewer: Viewer, content_type: str) -> None:
+def test_a_form_of_any_page_changes_nothing(viewer, content_type):
     error_of(viewer.send("POST", "/view/do", OWN | {"content-type": content_type}, content=ASK), 415)
     error_of(viewer.send("POST", "/view/do", {"host": HOST} | JSON, content=ASK), 403)  # says not where it comes from
     assert viewer.session.results == ()
 
 
-def test_a_page_is_not_framed_sniffed_kept_or_led_elsewhere(viewer: Viewer) -> None:
+def test_a_page_is_not_framed_sniffed_kept_or_led_elsewhere(viewer):
     for answer in (viewer.get("/"), viewer.get("/view/none"), viewer.get("/view/header")):
         policy = answer.headers["content-security-policy"]
         assert "frame-ancestors 'none'" in policy
@@ -115,14 +115,14 @@ def test_a_page_is_not_framed_sniffed_kept_or_led_elsewhere(viewer: Viewer) -> N
     assert (led.status_code, led.headers["location"]) == (303, "/")
 
 
-def test_no_page_of_another_site_may_read_answers(viewer: Viewer) -> None:
+def test_no_page_of_another_site_may_read_answers(viewer):
     asked = {"host": HOST, "origin": "http://evil.example", "access-control-request-method": "POST"}
     answer = viewer.send("OPTIONS", "/view/do", asked)
     error_of(answer, 403)
     assert not any(name.startswith("access-control") for name in answer.headers)
 
 
-def test_two_names_in_one_request_are_none(viewer: Viewer) -> None:
+def test_two_names_in_one_request_are_none(viewer):
     async def asked() -> int:
         sent: list[Any] = []
 
@@ -153,7 +153,7 @@ def lent() -> Iterator[Viewer]:
 LAB = {"host": "lab.example:8080", "origin": "http://lab.example:8080"}
 
 
-def test_where_others_reach_it_nobody_comes_in_without_the_token(lent: Viewer) -> None:
+def test_where_others_reach_it_nobody_comes_in_without_the_token(lent):
     for path in ("/", "/?token=", f"/?token={TOKEN[:-1]}", f"/?token={TOKEN}x", f"/view/state?token={TOKEN}"):
         error_of(lent.send("GET", path, LAB), 401)
     for path in ("/client.js", "/view/header", "/view/events", "/none"):
@@ -164,7 +164,7 @@ def test_where_others_reach_it_nobody_comes_in_without_the_token(lent: Viewer) -
     assert lent.session.results == ()
 
 
-def test_the_token_becomes_a_cookie_and_leaves_the_address(lent: Viewer) -> None:
+def test_the_token_becomes_a_cookie_and_leaves_the_address(lent):
     led = lent.send("GET", f"/?token={TOKEN}", LAB)
     assert (led.status_code, led.headers["location"]) == (303, "/")
     cookie = led.headers["set-cookie"]
@@ -175,7 +175,7 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address(lent: Viewer) -> None
     error_of(lent.send("POST", "/view/do", kept | JSON | {"origin": "http://evil.example"}, content=ASK), 403)
 
 
-def test_the_printed_address_has_a_token_where_others_reach_it() -> None:
+def test_the_printed_address_has_a_token_where_others_reach_it():
     for host, has_token in (("127.0.0.1", False), ("0.0.0.0", True)):
         with listening_socket(host, 0) as listening:
             one = service.Service(Shared(Saves(None), opened_never), listening, host)
@@ -190,12 +190,12 @@ def opened_never(path: Path) -> Scene:
 
 
 @pytest.mark.parametrize(("host", "port"), [("300.1.1.1", 8080), ("127.0.0.1", 70000), ("no such name", 1)])
-def test_where_nothing_can_listen_is_an_error(host: str, port: int) -> None:
+def test_where_nothing_can_listen_is_an_error(host, port):
     with pytest.raises(InputError, match=r"listen|port"):
         listening_socket(host, port)
 
 
-def test_a_port_that_is_taken_is_passed_over() -> None:
+def test_a_port_that_is_taken_is_passed_over():
     with listening_socket("127.0.0.1", 0) as one:
         port = one.getsockname()[1]
         with listening_socket("127.0.0.1", port) as other:
@@ -222,7 +222,7 @@ def asked(one: service.Service, method: str, path: str, body: str = "", **header
         return answer.status, answer.read()
 
 
-def test_a_service_answers_what_it_was_asked_first_and_ends_with_streams_open(listened: service.Service) -> None:
+def test_a_service_answers_what_it_was_asked_first_and_ends_with_streams_open(listened):
     eventually(lambda: b'"text":"red mug"' in asked(listened, "GET", "/view/state")[1])
     eventually(lambda: b'"words":["' in asked(listened, "GET", "/view/header")[1])  # nothing more comes by itself
     port = listened.listening.getsockname()[1]
@@ -239,9 +239,7 @@ def test_a_service_answers_what_it_was_asked_first_and_ends_with_streams_open(li
     stream.close()
 
 
-def test_what_is_no_request_says_nothing_here(
-    listened: service.Service, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_request_says_nothing_here(listened, caplog, capfd):
     with socket.create_connection(("127.0.0.1", listened.listening.getsockname()[1])) as one:
         one.sendall(b"\x1b]0;owned\x07\r\n\r\n")
         one.settimeout(60)
@@ -254,7 +252,7 @@ def test_what_is_no_request_says_nothing_here(
 # --- how many, how much, how often ---
 
 
-def test_a_page_hears_of_what_another_does(viewer: Viewer) -> None:
+def test_a_page_hears_of_what_another_does(viewer):
     async def heard() -> None:
         async with Stream(viewer) as one, Stream(viewer) as other:
             first = [await one.event(), await other.event()]
@@ -271,7 +269,7 @@ def test_a_page_hears_of_what_another_does(viewer: Viewer) -> None:
     asyncio.run(heard())
 
 
-def test_no_more_pages_than_there_is_room_for(viewer: Viewer) -> None:
+def test_no_more_pages_than_there_is_room_for(viewer):
     async def opened() -> None:
         pages = [await Stream(viewer).__aenter__() for _ in range(MAX_STREAMS)]
         assert {page.status for page in pages} == {200}
@@ -286,7 +284,7 @@ def test_no_more_pages_than_there_is_room_for(viewer: Viewer) -> None:
     asyncio.run(opened())
 
 
-def test_a_silent_stream_beats_and_a_slow_one_gets_only_the_latest() -> None:
+def test_a_silent_stream_beats_and_a_slow_one_gets_only_the_latest():
     counts = {"revision": 0}
 
     async def read() -> None:
@@ -308,7 +306,7 @@ def test_a_silent_stream_beats_and_a_slow_one_gets_only_the_latest() -> None:
     asyncio.run(read())
 
 
-def test_an_address_that_asks_too_often_is_told_to_wait(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_that_asks_too_often_is_told_to_wait(viewer, monkeypatch):
     paced, now = service.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
     monkeypatch.setattr(service.time, "monotonic", lambda: now[0])
     scope = {"client": ("10.0.0.1", 1)}
@@ -322,7 +320,7 @@ def test_an_address_that_asks_too_often_is_told_to_wait(viewer: Viewer, monkeypa
     assert len(paced._paces) == service.MAX_PEERS
 
 
-def test_a_flood_is_told_to_wait_and_goes_on_later(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flood_is_told_to_wait_and_goes_on_later(viewer, monkeypatch):
     viewer.gate, now = service.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
     monkeypatch.setattr(service, "BURST_REQUESTS", 3.0)
     monkeypatch.setattr(service.time, "monotonic", lambda: now[0])
@@ -340,7 +338,7 @@ class Busy(Turns):
         self.submit(lambda: self.go.wait(60))
 
 
-def test_what_waits_is_bounded_and_only_the_latest_of_a_drag_is_done() -> None:
+def test_what_waits_is_bounded_and_only_the_latest_of_a_drag_is_done():
     turns, done = Busy(8), list[str]()
 
     async def dragged() -> list[str]:
@@ -365,7 +363,7 @@ def test_what_waits_is_bounded_and_only_the_latest_of_a_drag_is_done() -> None:
     turns.stop()
 
 
-def test_an_act_that_fails_leaves_the_thread_alive() -> None:
+def test_an_act_that_fails_leaves_the_thread_alive():
     turns = Turns()
     with pytest.raises(ZeroDivisionError):
         turns.submit(lambda: 1 / 0).result(60)
@@ -377,7 +375,7 @@ def test_an_act_that_fails_leaves_the_thread_alive() -> None:
 @pytest.mark.parametrize(
     ("path", "most"), [("/view/do", service.MAX_ACT_BYTES), ("/view/ask-picture", service.MAX_PICTURE_BYTES)]
 )
-def test_bodies_are_bounded_whatever_their_head_says(viewer: Viewer, path: str, most: int) -> None:
+def test_bodies_are_bounded_whatever_their_head_says(viewer, path, most):
     told = OWN | JSON | {"content-length": str(most + 1)}
     assert "at most" in error_of(viewer.send("POST", path, told, content=b""), 413)
     error_of(viewer.send("POST", path, OWN | JSON | {"content-length": "many"}, content=b""), 400)
@@ -396,7 +394,7 @@ def test_bodies_are_bounded_whatever_their_head_says(viewer: Viewer, path: str, 
     assert viewer.gate.large == 0
 
 
-def test_large_bodies_at_once_are_few(viewer: Viewer) -> None:
+def test_large_bodies_at_once_are_few(viewer):
     viewer.gate.large = viewer.gate.limits.large_bodies
     assert "come again" in error_of(viewer.post("/view/ask-picture", bytes(1 << 17)), 503)
     assert viewer.gate.large == viewer.gate.limits.large_bodies
@@ -434,12 +432,12 @@ def test_large_bodies_at_once_are_few(viewer: Viewer) -> None:
         b'{"a":' * 50_000,
     ],
 )
-def test_what_no_page_of_ours_says_is_refused(viewer: Viewer, body: bytes) -> None:
+def test_what_no_page_of_ours_says_is_refused(viewer, body):
     error_of(viewer.send("POST", "/view/do", OWN | JSON, content=body), 422)
     assert viewer.state()["revision"] == 1
 
 
-def test_a_route_that_is_not_there_and_a_method_that_is_not_taken(viewer: Viewer) -> None:
+def test_a_route_that_is_not_there_and_a_method_that_is_not_taken(viewer):
     error_of(viewer.get("/view/none"), 404)
     error_of(viewer.get("/view/do"), 405)
     error_of(viewer.get("/../../etc/passwd"), 404)
@@ -482,9 +480,9 @@ def forged(draw: st.DrawFn) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(st.lists(forged(), min_size=1, max_size=6))
-def test_forged_values_of_every_act_are_no_faults(acts: list[dict[str, Any]]) -> None:
+def test_forged_values_of_every_act_are_no_faults(acts):
     """Each is done or refused with a reason, the state stays one that JSON can say, and the page goes on."""
     with a_viewer() as viewer:
         for act in acts:
@@ -496,10 +494,10 @@ def test_forged_values_of_every_act_are_no_faults(acts: list[dict[str, Any]]) ->
         count = sum(map(len, (viewer.arrays("/view/splats")["opacity"], viewer.arrays("/view/paint")["heat"])))
         assert count == 2 * len(viewer.session.drawn)
         viewer.do("restore")
-        assert viewer.do("ask", text="tall lamp")["results"][0]["num_matches"] == 1
+        assert viewer.ask("tall lamp")["results"][0]["num_matches"] == 1
 
 
-def test_every_act_is_known_by_one_name() -> None:
+def test_every_act_is_known_by_one_name():
     assert len(set(NAMES)) == len(get_args(AnyAct))
 
 
@@ -514,12 +512,12 @@ def test_every_act_is_known_by_one_name() -> None:
         "com1", "a.ply:stream", "a ", "a.", "x" * 300, "a/" * 9 + "b.ply", "\udcff.ply", "~/../a.ply/..",
     ],
 )  # fmt: skip
-def test_names_of_files_stay_inside(name: str) -> None:
+def test_names_of_files_stay_inside(name):
     with pytest.raises(DrSplatError, match=r"expected|longer"):
         checked_path(name)
 
 
-def test_a_file_that_lies_about_its_name_is_written_nowhere(viewer: Viewer, tmp_path: Path) -> None:
+def test_a_file_that_lies_about_its_name_is_written_nowhere(viewer, tmp_path):
     for name in ("../../escaped.ply", str(tmp_path / "escaped.ply"), "/dev/null", "a/../../../escaped.ply"):
         for path in ("/view/open", "/view/upload"):
             answer = viewer.send(
@@ -533,7 +531,7 @@ def test_a_file_that_lies_about_its_name_is_written_nowhere(viewer: Viewer, tmp_
     assert "batch" in error
 
 
-def test_a_stranger_cannot_fill_the_disk_with_files_that_are_sent() -> None:
+def test_a_stranger_cannot_fill_the_disk_with_files_that_are_sent():
     with a_viewer(limits=UploadLimits(bytes=1000, files=3, batches=2)) as viewer:
         for number in range(3):
             assert viewer.post(f"/view/upload?batch=a&name={number}.ply", bytes(100)).json() == {"bytes": 100}
@@ -550,7 +548,7 @@ def test_a_stranger_cannot_fill_the_disk_with_files_that_are_sent() -> None:
     assert not root.exists()
 
 
-def test_a_file_that_is_sent_to_be_opened_leaves_nothing_where_it_is_refused(viewer: Viewer) -> None:
+def test_a_file_that_is_sent_to_be_opened_leaves_nothing_where_it_is_refused(viewer):
     for _ in range(2 * viewer.shared.uploads.limits.batches):
         error_of(viewer.post("/view/open?name=../a.ply", b"ply"), 422)
         error_of(viewer.post("/view/open?name=a.ply", b"ply"), 422)
@@ -558,7 +556,7 @@ def test_a_file_that_is_sent_to_be_opened_leaves_nothing_where_it_is_refused(vie
     assert stored(viewer) == 0
 
 
-def test_a_disk_that_is_nearly_full_takes_no_file() -> None:
+def test_a_disk_that_is_nearly_full_takes_no_file():
     with a_viewer(limits=UploadLimits(free=1 << 62)) as viewer:
         error_of(viewer.post("/view/upload?batch=a&name=a.ply", bytes(100)), 507)
         assert stored(viewer) == 0
@@ -568,17 +566,16 @@ def stored(viewer: Viewer) -> int:
     return sum(path.stat().st_size for path in viewer.shared.uploads.root.rglob("*") if path.is_file())
 
 
-def test_a_stranger_cannot_fill_the_disk_with_files_that_are_saved(viewer: Viewer) -> None:
+def test_a_stranger_cannot_fill_the_disk_with_files_that_are_saved(viewer):
     viewer.shared.saves.files_left = 2
     for _ in range(2):
         assert viewer.post("/view/save", {"what": "scene"}).status_code == 200
     assert "saved enough" in error_of(viewer.post("/view/save", {"what": "scene"}), 422)
     folder = viewer.shared.saves.folder
-    assert folder is not None
     assert sorted(path.name for path in folder.iterdir()) == ["found-2.ply", "found.ply"]
 
 
-def test_a_photo_outside_of_what_was_sent_is_not_shown(tmp_path: Path) -> None:
+def test_a_photo_outside_of_what_was_sent_is_not_shown(tmp_path):
     """A capture that is sent may name any photo of this machine."""
     from dataclasses import replace
 
@@ -596,7 +593,7 @@ def test_a_photo_outside_of_what_was_sent_is_not_shown(tmp_path: Path) -> None:
 # --- errors ---
 
 
-def test_errors_tell_no_paths(viewer: Viewer, tmp_path: Path) -> None:
+def test_errors_tell_no_paths(viewer, tmp_path):
     answer = viewer.post("/view/open?name=broken.ply", b"ply\nnonsense")
     said = error_of(answer, 422)
     assert "broken.ply" in said
@@ -605,7 +602,7 @@ def test_errors_tell_no_paths(viewer: Viewer, tmp_path: Path) -> None:
     assert stored(viewer) == 0
 
 
-def test_a_fault_of_the_system_is_said_without_a_path(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_of_the_system_is_said_without_a_path(viewer, monkeypatch):
     def full(*_: Any, **__: Any) -> None:
         raise OSError(28, "No space left on device", "/home/somebody/secret.ply")
 
@@ -615,26 +612,26 @@ def test_a_fault_of_the_system_is_said_without_a_path(viewer: Viewer, monkeypatc
     assert "secret" not in said
 
 
-def test_errors_are_told_to_whoever_asked_and_to_nobody_else(viewer: Viewer) -> None:
+def test_errors_are_told_to_whoever_asked_and_to_nobody_else(viewer):
     assert "nothing is selected" in viewer.refused("edit", change="remove")
     assert viewer.state()["message"] == ""
-    assert viewer.do("ask", text="tall lamp")["message"].startswith("tall lamp: 1 match")
+    assert viewer.ask("tall lamp")["message"].startswith("tall lamp: 1 match")
 
 
-def test_no_text_of_a_stranger_is_more_than_text(viewer: Viewer) -> None:
-    state = viewer.do("ask", text="lamp, not <img src=x>\x1b[2J\u202e")
+def test_no_text_of_a_stranger_is_more_than_text(viewer):
+    state = viewer.ask("lamp, not <img src=x>\x1b[2J\u202e")
     assert "\x1b" not in json.dumps(state, ensure_ascii=False)
     assert "\u202e" not in json.dumps(state, ensure_ascii=False)
 
 
-def test_arrays_hold_numbers_whatever_is_asked(viewer: Viewer) -> None:
-    viewer.do("ask", text="red mug; tall lamp; blue mug")
+def test_arrays_hold_numbers_whatever_is_asked(viewer):
+    viewer.ask("red mug; tall lamp; blue mug")
     paint = viewer.arrays("/view/paint")
     assert paint["owner"].max() == 3
     assert np.isfinite(viewer.arrays("/view/splats")["centers"]).all()
 
 
-def test_what_waits_is_dropped_at_the_end() -> None:
+def test_what_waits_is_dropped_at_the_end():
     """A viewer that ends waits for what is being done, and for nothing else: a thread in the kernels would abort."""
     turns, goes_on = Turns(), threading.Event()
     first, second = turns.submit(goes_on.wait), turns.submit(lambda: "late")

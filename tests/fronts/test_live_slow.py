@@ -62,13 +62,13 @@ def editing(monkeypatch: pytest.MonkeyPatch) -> Gate:
     return gate
 
 
-def test_queries_and_splats_come_from_the_old_version_while_an_edit_is_computed(viewer: Viewer, editing: Gate) -> None:
-    viewer.do("ask", text="red mug")
+def test_queries_and_splats_come_from_the_old_version_while_an_edit_is_computed(viewer, editing):
+    viewer.ask("red mug")
     before = viewer.get("/view/splats").content
     with others() as pool:
         edit = pool.submit(viewer.do, "edit", change="remove")
         assert editing.come.wait(PATIENCE_S)
-        state = viewer.do("ask", text="blue mug")
+        state = viewer.ask("blue mug")
         assert state["results"][0]["text"] == "blue mug"
         assert state["edits"] == []
         assert viewer.get("/view/splats").content == before
@@ -80,8 +80,8 @@ def test_queries_and_splats_come_from_the_old_version_while_an_edit_is_computed(
     assert viewer.get("/view/splats").content != before
 
 
-def test_edits_of_two_pages_are_both_done_one_after_the_other(viewer: Viewer, editing: Gate) -> None:
-    viewer.do("ask", text="red mug")
+def test_edits_of_two_pages_are_both_done_one_after_the_other(viewer, editing):
+    viewer.ask("red mug")
     with others() as pool:
         first = pool.submit(viewer.do, "edit", change="recolour", color="#2060ff")
         assert editing.come.wait(PATIENCE_S)
@@ -95,16 +95,7 @@ def test_edits_of_two_pages_are_both_done_one_after_the_other(viewer: Viewer, ed
     assert viewer.do("undo")["edits"][1]["done"] is False
 
 
-def test_an_edit_that_is_refused_leaves_what_was_done_meanwhile(viewer: Viewer) -> None:
-    viewer.do("ask", text="red mug")
-    viewer.do("edit", change="remove")
-    assert "nothing is selected" in viewer.refused("edit", change="remove")
-    assert len(viewer.state()["edits"]) == 1
-
-
-def test_a_film_is_drawn_of_what_was_shown_when_it_was_asked_for(
-    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_is_drawn_of_what_was_shown_when_it_was_asked_for(viewer, monkeypatch):
     gate, drawn = Gate(), list[tuple[str, int]]()
 
     def slow(session: Session, view: Any) -> np.ndarray:
@@ -118,7 +109,7 @@ def test_a_film_is_drawn_of_what_was_shown_when_it_was_asked_for(
     with others() as pool:
         film = pool.submit(viewer.post, "/view/film", body)
         assert gate.come.wait(PATIENCE_S)
-        viewer.do("ask", text="red mug")
+        viewer.ask("red mug")
         assert len(viewer.do("edit", change="remove")["edits"]) == 1
         assert viewer.get("/view/film-progress", job="mine").json() == {"done": 0, "count": 6}
         assert not film.done()
@@ -128,9 +119,7 @@ def test_a_film_is_drawn_of_what_was_shown_when_it_was_asked_for(
     assert viewer.get("/view/film-progress", job="mine").json() == {"done": 0, "count": 0}
 
 
-def test_a_page_is_of_the_edits_on_show_also_where_they_are_kept_nowhere(
-    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_is_of_the_edits_on_show_also_where_they_are_kept_nowhere(viewer, monkeypatch):
     gate, export, counts = Gate(), files.export_session, list[int]()
 
     def slow(path: Path, session: Session, *more: Any, **named: Any) -> Any:
@@ -140,7 +129,7 @@ def test_a_page_is_of_the_edits_on_show_also_where_they_are_kept_nowhere(
         return page
 
     monkeypatch.setattr(files, "export_session", slow)
-    viewer.do("ask", text="red mug")
+    viewer.ask("red mug")
     viewer.do("edit", change="remove")
     with others() as pool:
         page = pool.submit(viewer.post, "/view/page", {})
@@ -151,7 +140,7 @@ def test_a_page_is_of_the_edits_on_show_also_where_they_are_kept_nowhere(
     assert counts == [1]
 
 
-def test_a_copy_of_a_session_stays_as_it_was() -> None:
+def test_a_copy_of_a_session_stays_as_it_was():
     session = Session(boxes_scene(), words=THINGS)
     session.ask("red mug")
     copied, before = session.copied(), session.edits.opacities
@@ -162,18 +151,18 @@ def test_a_copy_of_a_session_stays_as_it_was() -> None:
     assert (session.edits.listed.done, copied.edits.listed.done) == (1, 0)
 
 
-def test_names_are_found_beside_the_session(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_are_found_beside_the_session(viewer, monkeypatch):
     gate = Gate()
     monkeypatch.setattr("drsplat.fronts.viewing.live.stage.suggestions", lambda *_: gate.wait() or ["red mug"])
     preparing = viewer.lanes.change(viewer.shared.prepare)
     assert gate.come.wait(PATIENCE_S)
-    assert viewer.get("/view/header").json()["words"] == []
+    assert viewer.header()["words"] == []
     gate.go.set()
     preparing.result(PATIENCE_S)
-    assert viewer.get("/view/header").json()["words"] == ["red mug"]
+    assert viewer.header()["words"] == ["red mug"]
 
 
-def test_what_fails_in_each_step_goes_to_whoever_waits() -> None:
+def test_what_fails_in_each_step_goes_to_whoever_waits():
     lanes = Lanes()
 
     def failing() -> Any:

@@ -16,13 +16,12 @@ from pathlib import Path
 from typing import Any
 from urllib.request import Request, urlopen
 
-import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from test_serve import KEY, Service, asked, reason, told, wait_for
 
-from command_line import Capture, error_of
+from command_line import error_of
 from drsplat import load_field, read_views
-from drsplat.evaluation.demo import story as household
 from drsplat.formats.live_views import LiveViews
 from drsplat.formats.replacing import claimed_output
 from drsplat.fronts.serving import workbench
@@ -64,7 +63,7 @@ def wait_until_added(service: Service) -> None:
     wait_for(lambda: told(service("GET", VIEWS, headers=WITH_KEY))["num_waiting"] == 0)
 
 
-def test_photos_are_added_while_questions_are_answered(scenes: Path, full_room: Path) -> None:
+def test_photos_are_added_while_questions_are_answered(scenes, full_room):
     fields = {load_field(scenes / "room/room.field").fingerprint, load_field(full_room / "room.field").fingerprint}
     with opened(scenes) as service:
         answers = []
@@ -98,7 +97,7 @@ def test_photos_are_added_while_questions_are_answered(scenes: Path, full_room: 
 
 
 @pytest.mark.slow
-def test_photos_are_taken_only_with_leave_a_key_and_from_here(scenes: Path, full_room: Path, capsys: Capture) -> None:
+def test_photos_are_taken_only_with_leave_a_key_and_from_here(scenes, full_room, capsys):
     body = posted(read_views(full_room)[2])
     with opened(scenes, takes_views=False) as closed:
         assert "takes no photos" in reason(send(closed, body), 403)
@@ -130,7 +129,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-def test_what_is_no_view_gets_a_reason(scenes: Path, full_room: Path) -> None:
+def test_what_is_no_view_gets_a_reason(scenes, full_room):
     view = read_views(full_room)[2]
     with opened(scenes) as service:
         for changes, said in WRONG:
@@ -150,7 +149,7 @@ def test_what_is_no_view_gets_a_reason(scenes: Path, full_room: Path) -> None:
         assert "at most 1,000" in reason(send(small, posted(read_views(full_room)[3])), 422)
 
 
-def test_a_full_queue_is_told_when_to_come_again(scenes: Path, full_room: Path) -> None:
+def test_a_full_queue_is_told_when_to_come_again(scenes, full_room):
     one, other = read_views(full_room)[2:]
     with claimed_output(scenes / "room/room.field"), opened(scenes, limits=Limits(workers=1, views=1)) as service:
         assert send(service, posted(one)).status_code == 202
@@ -162,7 +161,7 @@ def test_a_full_queue_is_told_when_to_come_again(scenes: Path, full_room: Path) 
 
 
 @pytest.mark.slow
-def test_the_list_tells_which_photos_are_being_added(scenes: Path, full_room: Path) -> None:
+def test_the_list_tells_which_photos_are_being_added(scenes, full_room):
     with claimed_output(scenes / "room/room.field"), opened(scenes) as service:
         for view in read_views(full_room)[2:]:
             send(service, posted(view))
@@ -173,7 +172,7 @@ def test_the_list_tells_which_photos_are_being_added(scenes: Path, full_room: Pa
 
 
 @pytest.mark.slow
-def test_another_writer_is_waited_for(scenes: Path, full_room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_writer_is_waited_for(scenes, full_room, monkeypatch):
 
     monkeypatch.setattr(workbench, "RETRY_S", 0.2)
     with opened(scenes) as service:
@@ -189,7 +188,7 @@ def test_another_writer_is_waited_for(scenes: Path, full_room: Path, monkeypatch
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_told_and_loses_nothing(scenes: Path, full_room: Path) -> None:
+def test_a_full_disk_is_told_and_loses_nothing(scenes, full_room):
     one, other = read_views(full_room)[2:]
     with files_of_at_most(30_000), opened(scenes) as service:
         assert send(service, posted(one)).status_code == 202
@@ -207,9 +206,7 @@ def test_a_full_disk_is_told_and_loses_nothing(scenes: Path, full_room: Path) ->
 
 
 @pytest.mark.slow
-def test_a_photo_that_ends_the_process_is_refused_and_the_others_are_added(
-    scenes: Path, full_room: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_photo_that_ends_the_process_is_refused_and_the_others_are_added(scenes, full_room, monkeypatch):
     dying = (
         "import os, sys; from drsplat.photos.arriving.adding import _Batch; from drsplat.fronts.serving import worker; "
         "embed = _Batch.embed; "
@@ -260,9 +257,7 @@ def fetch(port: int, path: str, body: Any = None) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.0, 1.0, 2.5])
-def test_a_killed_service_goes_on_with_what_it_had_taken(
-    seconds: float, scenes: Path, full_room: Path, key_file: str
-) -> None:
+def test_a_killed_service_goes_on_with_what_it_had_taken(seconds, scenes, full_room, key_file):
     with served(scenes, key_file) as (server, port):
         for view in read_views(full_room)[2:]:
             fetch(port, VIEWS, posted(view))
@@ -280,9 +275,7 @@ def test_a_killed_service_goes_on_with_what_it_had_taken(
 
 
 @pytest.mark.slow
-def test_the_demo_is_streamed_at_a_photo_a_second(
-    household_story: household.Story, household_folder: Path, tmp_path: Path, key_file: str
-) -> None:
+def test_the_demo_is_streamed_at_a_photo_a_second(household_story, household_folder, tmp_path, key_file):
     """Twelve photos are registered; the others come, and every answer is of a version that was whole."""
     room = tmp_path / "scenes/room"
     whole, views = load_field(household_folder / "room.field"), read_views(household_folder)
@@ -308,9 +301,7 @@ def test_the_demo_is_streamed_at_a_photo_a_second(
 
 
 @pytest.mark.slow
-def test_the_lines_of_the_document_send_photos(
-    household_story: household.Story, household_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_lines_of_the_document_send_photos(household_story, household_folder, tmp_path, monkeypatch):
     demo = Path(shutil.copytree(household_folder, tmp_path / "drsplat-demo"))
     (tmp_path / "key.txt").write_text(KEY)
     text = (Path(__file__).parents[2] / "docs/live_views.md").read_text(encoding="utf-8")
@@ -333,8 +324,8 @@ def test_the_lines_of_the_document_send_photos(
         ]  # fmt: skip
         found = fetch(port, "/scenes/drsplat-demo/locate", {"text": "red vase"})["matches"]
     best = household_story.verdicts[[one.probe.text for one in household_story.verdicts].index("red vase")].center
-    np.testing.assert_allclose(found[0]["center"], best, atol=0.05)
+    assert_allclose(found[0]["center"], best, atol=0.05)
     held_out = read_views(demo)
     posed = {view.name: view.cam_from_world for view in held_out}
-    np.testing.assert_allclose(posed["phone/0001.jpg"], posed["frame_00001.jpg"], atol=1e-4)
-    np.testing.assert_allclose(posed["phone/0002.jpg"], posed["frame_00009.jpg"], atol=1e-4)
+    assert_allclose(posed["phone/0001.jpg"], posed["frame_00001.jpg"], atol=1e-4)
+    assert_allclose(posed["phone/0002.jpg"], posed["frame_00009.jpg"], atol=1e-4)

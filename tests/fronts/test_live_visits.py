@@ -3,7 +3,6 @@
 import asyncio
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,11 +32,11 @@ def texts_of(browser: Viewer) -> list[str]:
 # --- what is each browser's own ---
 
 
-def test_two_browsers_have_two_questions(viewer: Viewer) -> None:
+def test_two_browsers_have_two_questions(viewer):
     one, other = Browser(viewer), Browser(viewer)
-    asked = one.do("ask", text="red mug")
+    asked = one.ask("red mug")
     assert texts_of(other) == []
-    other.do("ask", text="blue mug; tall lamp")
+    other.ask("blue mug; tall lamp")
     assert (texts_of(one), texts_of(other)) == (["red mug"], ["blue mug", "tall lamp"])
     assert one.state()["paint"] == asked["paint"]  # nothing to be fetched again
     np.testing.assert_array_equal(np.unique(one.arrays("/view/paint")["owner"]), [0, 1])
@@ -46,10 +45,10 @@ def test_two_browsers_have_two_questions(viewer: Viewer) -> None:
     assert texts_of(viewer) == []  # nor does a program
 
 
-def test_thresholds_clicks_modes_and_classes_are_each_browsers_own(viewer: Viewer) -> None:
+def test_thresholds_clicks_modes_and_classes_are_each_browsers_own(viewer):
     one, other = Browser(viewer), Browser(viewer)
     for browser in (one, other):
-        browser.do("ask", text="red mug")
+        browser.ask("red mug")
     one.do("threshold", query=0, value=2.0)
     one.do("mode", mode="heat map")
     frame = viewer.session.shown.frame
@@ -63,20 +62,20 @@ def test_thresholds_clicks_modes_and_classes_are_each_browsers_own(viewer: Viewe
     assert "click something" in other.refused("more_like_this")
 
 
-def test_a_reload_keeps_what_was_asked(viewer: Viewer) -> None:
+def test_a_reload_keeps_what_was_asked(viewer):
     browser = Browser(viewer)
-    browser.do("ask", text="red mug")
+    browser.ask("red mug")
     cookie = browser.cookie
     browser.load()
     assert browser.cookie == cookie
     assert texts_of(browser) == ["red mug"]
 
 
-def test_who_starts_the_viewer_asks_for_all_who_come() -> None:
+def test_who_starts_the_viewer_asks_for_all_who_come():
     with a_viewer() as viewer:
         viewer.shared.begin("tall lamp")
         first, second = Browser(viewer), Browser(viewer)
-        first.do("ask", text="red mug")
+        first.ask("red mug")
         assert (texts_of(first), texts_of(second)) == (["red mug"], ["tall lamp"])
         assert (texts_of(Browser(viewer)), texts_of(viewer)) == (["tall lamp"], ["tall lamp"])
         assert "tall lamp: 1 match" in second.state()["message"]
@@ -84,7 +83,7 @@ def test_who_starts_the_viewer_asks_for_all_who_come() -> None:
             viewer.shared.begin(";")
 
 
-def test_each_browser_stands_at_its_own_time() -> None:
+def test_each_browser_stands_at_its_own_time():
     with a_viewer(Session(passing_red_scene())) as viewer:
         one, other = Browser(viewer), Browser(viewer)
         before = other.get("/view/splats").content, other.state()["geometry"]
@@ -94,11 +93,11 @@ def test_each_browser_stands_at_its_own_time() -> None:
         assert (other.get("/view/splats").content, other.state()["geometry"]) == before
 
 
-def test_what_was_clicked_and_found_goes_with_the_next_question(viewer: Viewer) -> None:
+def test_what_was_clicked_and_found_goes_with_the_next_question(viewer):
     frame = viewer.session.shown.frame
     ray = {"origin": frame.shown(np.array(CENTERS[2]) - [0.0, 4.0, 0.0]).tolist(), "direction": [0.0, 1.0, 0.0]}
     viewer.do("click", **ray)
-    assert viewer.do("ask", text="red mug")["clicked"] is None
+    assert viewer.ask("red mug")["clicked"] is None
     assert viewer.do("click", **ray)["clicked"]
     viewer.refused("ask", text=" ; ")
     state = viewer.state()
@@ -108,10 +107,10 @@ def test_what_was_clicked_and_found_goes_with_the_next_question(viewer: Viewer) 
 # --- what all share ---
 
 
-def test_edits_and_notes_of_one_are_there_for_all(viewer: Viewer) -> None:
+def test_edits_and_notes_of_one_are_there_for_all(viewer):
     one, other = Browser(viewer), Browser(viewer)
-    before = other.do("ask", text="tall lamp")
-    one.do("ask", text="red mug")
+    before = other.ask("tall lamp")
+    one.ask("red mug")
     one.do("annotate", text="here", at="selection")
     one.do("edit", change="remove")
     state = other.state()
@@ -125,11 +124,11 @@ def test_edits_and_notes_of_one_are_there_for_all(viewer: Viewer) -> None:
     assert one.state()["can_redo"]
 
 
-def test_a_scene_that_one_opens_is_open_for_all_and_nothing_is_asked_of_it(viewer: Viewer, tmp_path: Path) -> None:
+def test_a_scene_that_one_opens_is_open_for_all_and_nothing_is_asked_of_it(viewer, tmp_path):
     from drsplat import write_gaussians
 
     one, other = Browser(viewer), Browser(viewer)
-    before = other.do("ask", text="tall lamp")
+    before = other.ask("tall lamp")
     write_gaussians(tmp_path / "a.ply", random_gaussians(50))
     answer = one.post("/view/open?name=a.ply", (tmp_path / "a.ply").read_bytes())
     assert answer.status_code == 200, answer.text
@@ -139,7 +138,7 @@ def test_a_scene_that_one_opens_is_open_for_all_and_nothing_is_asked_of_it(viewe
     assert len(other.arrays("/view/splats")["opacity"]) == 50
 
 
-def test_a_browser_hears_of_its_own_questions_and_of_all_edits(viewer: Viewer) -> None:
+def test_a_browser_hears_of_its_own_questions_and_of_all_edits(viewer):
     one, other = Browser(viewer), Browser(viewer)
 
     async def heard() -> None:
@@ -157,7 +156,7 @@ def test_a_browser_hears_of_its_own_questions_and_of_all_edits(viewer: Viewer) -
 # --- bounds ---
 
 
-def test_what_is_of_the_scenes_size_is_made_once_for_all(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_of_the_scenes_size_is_made_once_for_all(viewer, monkeypatch):
     made: list[int] = []
     painted = painting.feature_colors
     monkeypatch.setattr(painting, "feature_colors", lambda *given: made.append(1) or painted(*given))
@@ -172,7 +171,7 @@ def test_what_is_of_the_scenes_size_is_made_once_for_all(viewer: Viewer, monkeyp
     assert len(viewer.shared._rows) <= 4
 
 
-def test_only_the_page_makes_a_visit_and_forged_cookies_make_none(viewer: Viewer) -> None:
+def test_only_the_page_makes_a_visit_and_forged_cookies_make_none(viewer):
     browser = Browser(viewer)
     name = browser.cookie.partition("=")[0]
     for value in ("x", "0" * 4000, "../../a", "%00"):
@@ -187,7 +186,7 @@ def test_only_the_page_makes_a_visit_and_forged_cookies_make_none(viewer: Viewer
     assert browser.state()["results"] == []
 
 
-def test_a_cookie_is_only_for_the_page_and_for_one_port(viewer: Viewer) -> None:
+def test_a_cookie_is_only_for_the_page_and_for_one_port(viewer):
     given = Browser(viewer).load()
     assert given.startswith("drsplat-visit-8080=")
     assert "httponly" in given.lower()
@@ -195,10 +194,10 @@ def test_a_cookie_is_only_for_the_page_and_for_one_port(viewer: Viewer) -> None:
     assert len(given.partition("=")[2].partition(";")[0]) >= 24
 
 
-def test_the_oldest_of_too_many_visits_goes(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_of_too_many_visits_goes(viewer, monkeypatch):
     monkeypatch.setattr(turns, "MAX_VISITS", 3)
     first, second, third = (Browser(viewer) for _ in range(3))
-    first.do("ask", text="red mug")  # which makes the second one the oldest
+    first.ask("red mug")  # which makes the second one the oldest
     Browser(viewer)
     assert len(viewer.shared.visits) == 3
     assert second.get("/view/state").status_code == 410
@@ -209,7 +208,7 @@ def test_the_oldest_of_too_many_visits_goes(viewer: Viewer, monkeypatch: pytest.
     assert second.cookie != cookie
 
 
-def test_visits_that_nobody_comes_back_to_go(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_visits_that_nobody_comes_back_to_go(viewer, monkeypatch):
     gone = Browser(viewer)
     start = time.monotonic()
     monkeypatch.setattr(turns.time, "monotonic", lambda: start + turns.MAX_IDLE_S + 60)
@@ -218,40 +217,40 @@ def test_visits_that_nobody_comes_back_to_go(viewer: Viewer, monkeypatch: pytest
     assert gone.get("/view/state").status_code == 410
 
 
-def test_answers_of_all_browsers_have_one_bound(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answers_of_all_browsers_have_one_bound(viewer, monkeypatch):
     browsers = [Browser(viewer) for _ in range(4)]
-    browsers[0].do("ask", text="red mug")
+    browsers[0].ask("red mug")
     size = viewer.session.num_bytes
     result = viewer.session.results[0]
     arrays = (result.answer.values, result.answer.scores, result.gaussian_ids)
     assert size >= sum(array.nbytes for array in arrays) > 0
     monkeypatch.setattr(turns, "MAX_ANSWER_BYTES", 3 * size)
     for browser in browsers[1:]:
-        browser.do("ask", text="red mug")
+        browser.ask("red mug")
     browsers[3].state()
     assert browsers[0].get("/view/state").status_code == 410
     assert [texts_of(browser) for browser in browsers[1:]] == [["red mug"]] * 3
     monkeypatch.setattr(turns, "MAX_ANSWER_BYTES", 1)
-    browsers[1].do("ask", text="red mug; tall lamp")
+    browsers[1].ask("red mug; tall lamp")
     assert texts_of(browsers[1]) == ["red mug", "tall lamp"]  # the one that asks keeps its own
     assert len(viewer.shared.visits) == 1
 
 
-def test_the_classes_of_a_browser_hold_a_label_per_gaussian_and_no_answers(viewer: Viewer) -> None:
+def test_the_classes_of_a_browser_hold_a_label_per_gaussian_and_no_answers(viewer):
     viewer.do("classify", text=", ".join(THINGS))
-    assert viewer.session.num_bytes >= viewer.session.segmentation.labels.nbytes  # type: ignore[union-attr]
-    assert viewer.session.segmentation.answers == []  # type: ignore[union-attr]
+    assert viewer.session.num_bytes >= viewer.session.segmentation.labels.nbytes
+    assert viewer.session.segmentation.answers == []
 
 
-def test_nothing_is_kept_of_thresholds_that_were_dragged(viewer: Viewer) -> None:
+def test_nothing_is_kept_of_thresholds_that_were_dragged(viewer):
     browser = Browser(viewer)
-    browser.do("ask", text="red mug")
+    browser.ask("red mug")
     for number in range(5):
         browser.post("/view/do", {"act": "threshold", "query": number, "value": 0.5})
     assert viewer.lanes.quick._latest == {}
 
 
-def test_a_session_that_was_asked_is_begun_with_again() -> None:
+def test_a_session_that_was_asked_is_begun_with_again():
     session = Session(boxes_scene(), words=THINGS)
     session.ask("red mug")
     with a_viewer(session) as viewer:

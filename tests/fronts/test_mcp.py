@@ -102,7 +102,7 @@ async def told(client: Client, tool: str, **arguments: Any) -> dict[str, Any]:
 async def refused(client: Client, tool: str, **arguments: Any) -> str:
     result = await client.call_tool(tool, arguments)
     assert result.is_error
-    return str(result.content[0].text)  # type: ignore[union-attr]
+    return str(result.content[0].text)
 
 
 FOOD, ON, NEAR_TO = "something to eat", "table", "candle"
@@ -130,14 +130,12 @@ async def answers(client: Client) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_what_there_is_to_eat_on_the_table_and_which_is_nearest_to_the_candle(
-    room: Path, truth: dict[str, np.ndarray]
-) -> None:
+def test_what_there_is_to_eat_on_the_table_and_which_is_nearest_to_the_candle(room, truth):
     """The same that docs/serve.md quotes, number by number, so that nothing else stands there."""
     shown: list[Any] = []
 
     async def talk(client: Client) -> dict[str, dict[str, Any]]:
-        shown.append((await client.call_tool("show", {"text": FOOD})).content[1].data)  # type: ignore[union-attr]
+        shown.append((await client.call_tool("show", {"text": FOOD})).content[1].data)
         return await answers(client)
 
     said = over_stdio(room, talk)
@@ -178,7 +176,7 @@ def test_what_there_is_to_eat_on_the_table_and_which_is_nearest_to_the_candle(
 
 
 @pytest.mark.slow
-def test_errors_say_what_to_do_next(room: Path) -> None:
+def test_errors_say_what_to_do_next(room):
     async def talk(client: Client) -> None:
         tools = (await client.list_tools()).tools
         assert {tool.name for tool in tools} == TOOLS
@@ -229,7 +227,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
 
 
 @pytest.mark.slow
-def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> None:
+def test_find_on_and_about_a_scene(room, truth):
     async def talk(client: Client) -> None:
         every = await told(client, "locate", text="something to eat")
         on_table = await told(client, "locate", text="something to eat", on="table")
@@ -254,8 +252,8 @@ def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> 
             assert (center < high).all()
         assert {answer["field"] for answer in (every, on_table, about)} == {about["field"]}
         (text,) = (await client.call_tool("about_scene", {})).content
-        assert json.loads(text.text) == about  # type: ignore[union-attr]
-        assert text.text.count("\n") == 0  # type: ignore[union-attr]
+        assert json.loads(text.text) == about
+        assert text.text.count("\n") == 0
         numbers = re.findall(r"-?\d+\.\d+", json.dumps([every, about]))
         assert max(len(number) for number in numbers) <= 9
         await told(client, "show", view=about["some_photos"][-1])
@@ -264,7 +262,7 @@ def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> 
 
 
 @pytest.mark.slow
-def test_malformed_lines_are_answered(tmp_path: Path) -> None:
+def test_malformed_lines_are_answered(tmp_path):
     lines: list[tuple[bytes, Any, int, str]] = [
         (rb'{"jsonrpc":"2.0","id":5,"method":"tools/call","params":{"name":"\ud800"}}', 5, -32700, "hex escape"),
         (rb'{"jsonrpc":"2.0","id":"five","method":"\udc00\ud800"}', "five", -32700, "hex escape"),
@@ -279,7 +277,7 @@ def test_malformed_lines_are_answered(tmp_path: Path) -> None:
     ]
     command = [sys.executable, *COMMAND, str(tmp_path)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, **pipes) as server:  # type: ignore[call-overload]
+    with subprocess.Popen(command, **pipes) as server:
         ending = threading.Timer(120, server.kill)  # a line that gets no answer fails, and hangs nothing
         ending.start()
         for line, number, code, said in lines:
@@ -299,12 +297,12 @@ def test_malformed_lines_are_answered(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
-def test_a_signal_ends_it_while_it_waits_for_a_line(number: signal.Signals, code: int, tmp_path: Path) -> None:
+def test_a_signal_ends_it_while_it_waits_for_a_line(number, code, tmp_path):
     command = [sys.executable, *COMMAND, str(tmp_path)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     client = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "x", "version": "1"}}
     greeting = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": client}
-    with subprocess.Popen(command, stderr=subprocess.PIPE, **pipes) as server:  # type: ignore[call-overload]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, **pipes) as server:
         server.stdin.write(json.dumps(greeting).encode() + b"\n")
         server.stdin.flush()
         assert json.loads(server.stdout.readline())["id"] == 1
@@ -313,21 +311,21 @@ def test_a_signal_ends_it_while_it_waits_for_a_line(number: signal.Signals, code
         assert server.stderr.read() == b""
 
 
-def test_other_machines_are_let_in_only_on_purpose(tmp_path: Path, capsys: Capture) -> None:
+def test_other_machines_are_let_in_only_on_purpose(tmp_path, capsys):
     argv = ["mcp", tmp_path, "--http", "--host", "0.0.0.0"]
     assert "--api-key-file" in error_of(capsys, *argv)
     (tmp_path / "key").write_text("short")
     assert "16 or more" in error_of(capsys, *argv, "--api-key-file", tmp_path / "key")
 
 
-def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: Capture) -> None:
+def test_a_port_that_is_taken_is_told(tmp_path, capsys):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert f"port {port} of '127.0.0.1' is taken" in error_of(capsys, "mcp", tmp_path, "--http", "--port", port)
 
 
 @pytest.mark.slow
-def test_a_key_is_asked_for(tmp_path: Path) -> None:
+def test_a_key_is_asked_for(tmp_path):
     key = tmp_path / "key"
     key.write_text("0123456789abcdef-key")
     with http_server(tmp_path, "--api-key-file", str(key)) as url:
@@ -340,7 +338,7 @@ def test_a_key_is_asked_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
+def test_over_streamable_http(room, tmp_path):
     (tmp_path / "a room").symlink_to(room)
     (tmp_path / "another").symlink_to(room)
 
@@ -360,7 +358,7 @@ def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_takes_too_long_is_ended_and_the_next_question_is_answered(room: Path) -> None:
+def test_what_takes_too_long_is_ended_and_the_next_question_is_answered(room):
     async def talk(url: str) -> None:
         async with Client(url) as client:
             await answered(client)
@@ -381,7 +379,7 @@ def test_what_takes_too_long_is_ended_and_the_next_question_is_answered(room: Pa
 
 
 @pytest.mark.slow
-def test_a_signal_ends_the_process_that_computes_too(room: Path) -> None:
+def test_a_signal_ends_the_process_that_computes_too(room):
     async def talk(client: Client) -> int:
         await told(client, "list_scenes")
         (server,) = children_of(os.getpid(), b"mcp")
@@ -397,7 +395,7 @@ def test_a_signal_ends_the_process_that_computes_too(room: Path) -> None:
     raise AssertionError("the process outlived the one that started it")
 
 
-def test_what_cannot_start_says_why(tmp_path: Path, capsys: Capture) -> None:
+def test_what_cannot_start_says_why(tmp_path, capsys):
     assert "no such folder" in error_of(capsys, "mcp", tmp_path / "none")
     assert "stdout speaks the protocol" in json.dumps(error_json(capsys, "mcp", str(tmp_path), "--json"))
 

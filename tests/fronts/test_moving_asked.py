@@ -2,14 +2,12 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
 from drsplat import PQ, Cut, Mixture, Query, Scene, WordEncoder, open_scene, register
-from drsplat.errors import InputError
 from drsplat.field import LanguageField, build_field
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.objects.choosing import Tree
@@ -22,6 +20,7 @@ from drsplat.scene.moving import Frames, Moving
 from fields import random_evidence
 from growing_fields import features, scene, views
 from moving_scenes import label_masks, passing, passing_scene, passing_views, still
+from refusing import refused
 from scenes import look_at_view, random_gaussians
 
 
@@ -33,7 +32,7 @@ def played(objects: bool = False) -> Scene:
 CAR = np.arange(100)
 
 
-def test_a_match_is_followed_through_all_times() -> None:
+def test_a_match_is_followed_through_all_times():
     match = played().locate("red car")[0]
     assert set(match.gaussian_ids) <= set(CAR)
     track = played().tracks([match])[0]
@@ -48,7 +47,7 @@ def test_a_match_is_followed_through_all_times() -> None:
 
 
 @pytest.mark.parametrize(("relation", "spans"), [("left_of", ((0.0, 0.4),)), ("right_of", ((0.6, 1.0),)), ("on", ())])
-def test_when_is_one_thing_beside_another(relation: str, spans: tuple[tuple[float, float], ...]) -> None:
+def test_when_is_one_thing_beside_another(relation, spans):
     """The car is at y -1 + 2 t, the vase at 0.05; from x = 3, +y is on the right."""
     found = played().when("red car", relation, "white vase", "cam0/00")
     assert np.allclose(found, spans) if spans else found == spans
@@ -57,7 +56,7 @@ def test_when_is_one_thing_beside_another(relation: str, spans: tuple[tuple[floa
         assert played().when("white vase", mirrored, "red car", "cam0/00") == found
 
 
-def test_relations_of_boxes_are_asked_at_each_time() -> None:
+def test_relations_of_boxes_are_asked_at_each_time():
     found = played().when("red car", "next_to", "white vase")
     assert len(found) == 1
     assert 0 < found[0][0] <= 0.4 < 0.6 <= found[0][1] <= 1  # a spacing of Gaussians more than half of both boxes
@@ -79,7 +78,7 @@ def splintered() -> Scene:
     return Scene(field.with_objects(describe(field, gaussians, tree)), still(gaussians), [look_at_view((3, 0, 1.5))])
 
 
-def test_a_splinter_is_not_what_a_thing_stands_on() -> None:
+def test_a_splinter_is_not_what_a_thing_stands_on():
     scene = splintered()
     table, splinter = scene.locate("brown table")
     assert (len(table), len(splinter)) == (4000, 45)
@@ -89,7 +88,7 @@ def test_a_splinter_is_not_what_a_thing_stands_on() -> None:
     assert scene.when("brown table", "on", "white vase") == ()
 
 
-def test_a_relation_to_any_of_several_alike_is_one() -> None:
+def test_a_relation_to_any_of_several_alike_is_one():
     """What the car passes and what it is above have one name: either will do, not the first alone."""
     moving = passing()
     labels = np.repeat(np.arange(3), 100)
@@ -110,20 +109,20 @@ def test_a_relation_to_any_of_several_alike_is_one() -> None:
     assert both[1] != scene.when("red car", "on", vase) or both[0] != scene.when("red car", "next_to", vase)
 
 
-def test_what_cannot_be_told_is_said() -> None:
-    with pytest.raises(InputError, match="give view=NAME"):
+def test_what_cannot_be_told_is_said():
+    with refused("give view=NAME"):
         played().when("red car", "left_of", "white vase")
-    with pytest.raises(InputError, match="three ends"):
+    with refused("three ends"):
         played().when("red car", "between", "white vase")
-    with pytest.raises(InputError, match=r"expected one of on, in, .*; got 'behind'"):
+    with refused(r"expected one of on, in, .*; got 'behind'"):
         played().when("red car", "behind", "white vase")
-    with pytest.raises(InputError, match="stands still"):
+    with refused("stands still"):
         played().at(0.2).when("red car", "on", "white vase")
-    with pytest.raises(InputError, match="no match for"):
+    with refused("no match for"):
         played().when("green apple", "on", "white vase")
 
 
-def test_a_scene_at_a_time_is_a_scene() -> None:
+def test_a_scene_at_a_time_is_a_scene():
     at = played().at(0.8)
     match = at.locate("red car")[0]
     assert abs(match.center[1] - 0.6) < 0.05
@@ -135,7 +134,7 @@ def test_a_scene_at_a_time_is_a_scene() -> None:
     assert (hidden[0] != hidden[1]).any()  # each as it was then
 
 
-def test_what_is_clicked_is_what_was_there_then() -> None:
+def test_what_is_clicked_is_what_was_there_then():
     for number, time in ((0, 0.0), (5, 1.0)):
         view = played().view(f"cam0/{number:02d}")
         center = np.append(played().at(time).locate("red car")[0].center, 1)
@@ -145,7 +144,7 @@ def test_what_is_clicked_is_what_was_there_then() -> None:
 
 
 @pytest.mark.parametrize("code", [PQ(4), Mixture(2)])
-def test_a_span_is_a_field_of_its_views_alone(code: PQ | Mixture) -> None:
+def test_a_span_is_a_field_of_its_views_alone(code):
     """With the codebook of the whole, and atoms of the span."""
     stamps = np.linspace(0, 1, 7)
     timed = [replace(view, time=float(time)) for view, time in zip(views(), stamps, strict=True)]
@@ -174,7 +173,7 @@ def named(first: str, second: str) -> Scene:
     return Scene(field, still, taken)
 
 
-def test_a_query_of_a_span_asks_what_was_shown_then() -> None:
+def test_a_query_of_a_span_asks_what_was_shown_then():
     changing = named("red car", "green apple")
     for text, during, found in (
         ("red car", (0.0, 0.4), True), ("green apple", (0.0, 0.4), False),
@@ -189,7 +188,7 @@ def test_a_query_of_a_span_asks_what_was_shown_then() -> None:
                 slice(0, 3) if during[1] < 0.5 else slice(3, 6)])  # fmt: skip
 
 
-def test_a_span_answers_in_whole_objects() -> None:
+def test_a_span_answers_in_whole_objects():
     match = played(objects=True).locate(Query("red car", during=(0.0, 0.2)))[0]
     assert match.object_id is not None
     assert set(match.gaussian_ids) <= set(CAR)
@@ -198,22 +197,22 @@ def test_a_span_answers_in_whole_objects() -> None:
     assert played(objects=True).during((0, 0.2)) is played(objects=True).during((0.0, 0.2))
 
 
-def test_spans_that_cannot_be_asked_are_said() -> None:
-    with pytest.raises(InputError, match="no photo was taken from 2 to 3: those of this field are from 0 to 1"):
+def test_spans_that_cannot_be_asked_are_said():
+    with refused("no photo was taken from 2 to 3: those of this field are from 0 to 1"):
         played().ask(Query("red car", during=(2, 3)))
-    with pytest.raises(InputError, match="two finite times"):
+    with refused("two finite times"):
         Query("red car", during=(1, 0))
-    with pytest.raises(InputError, match="two finite times"):
+    with refused("two finite times"):
         Query("red car", during=(0.0, np.nan))
     bare = replace(played().field, evidence=None, growth=None)
-    with pytest.raises(InputError, match="holds no evidence"):
+    with refused("holds no evidence"):
         Scene(bare, played().moving).ask(Query("red car", during=(0, 1)))
     static = register(scene(), views(), features()).to_field(PQ(4))
-    with pytest.raises(InputError, match="scenes that move"):
+    with refused("scenes that move"):
         field_during(static, (0, 1))
 
 
-def test_what_comes_and_goes_is_where_it_is_only_then() -> None:
+def test_what_comes_and_goes_is_where_it_is_only_then():
     moving = passing()
 
     def frame(number: int):
@@ -233,7 +232,7 @@ def test_what_comes_and_goes_is_where_it_is_only_then() -> None:
     assert track.at(0.6000000000000001) is None
 
 
-def test_runs_of_times() -> None:
+def test_runs_of_times():
     times = np.array([0.0, 1, 2, 5, 6])
     assert runs(times, np.array([True, True, False, True, False])) == ((0, 1), (5, 5))
     assert runs(times, np.zeros(5, bool)) == ()
@@ -268,13 +267,12 @@ def random_encoder():
     return TEST
 
 
-def test_rows_that_change_what_they_belong_to_are_found() -> None:
+def test_rows_that_change_what_they_belong_to_are_found():
     """And not those at a border, whose masks disagree at each time."""
     field, own = changing_field()
     found = drifting(field)
     assert found.gaussian_ids.tolist() == [0, 1, 2, 3, 4]
     assert np.allclose(found.shares, 0.5)
-    assert field.objects is not None
     number = field.objects.thing_of()
     assert (found.first == number[0]).all()
     assert (found.last == number[-1]).all()
@@ -282,19 +280,19 @@ def test_rows_that_change_what_they_belong_to_are_found() -> None:
     assert own[0] != own[-1]
 
 
-def test_nothing_drifts_where_masks_agree() -> None:
+def test_nothing_drifts_where_masks_agree():
     assert len(drifting(played(objects=True).field).gaussian_ids) <= 3  # of 300: seen through what passes
 
 
-def test_only_fields_of_films_with_objects_are_looked_at() -> None:
+def test_only_fields_of_films_with_objects_are_looked_at():
     field, _ = changing_field()
     for other in (replace(field, objects=None), replace(field, evidence=None)):
-        with pytest.raises(InputError, match="a scene that moves, with its evidence and objects"):
+        with refused("a scene that moves, with its evidence and objects"):
             drifting(other)
     assert random_evidence(np.random.default_rng(0)).masks.times is None
 
 
-def test_services_ask_of_a_span() -> None:
+def test_services_ask_of_a_span():
     pytest.importorskip("pydantic")
     from pydantic import ValidationError
 
@@ -313,31 +311,14 @@ def test_services_ask_of_a_span() -> None:
         assert (talk.where_is("red car", during=during).best is not None) == bool(found)
 
 
-def test_language_models_ask_when() -> None:
-    pytest.importorskip("pydantic")
-    from drsplat.fronts.serving.conversation import Conversation, When
-    from drsplat.fronts.serving.conversation import tool_answer as answered
-    from drsplat.fronts.serving.limits import Limits
-    from drsplat.fronts.serving.query_fields import Tool
-
-    told = Conversation(played(), "film").when("red car", "left_of", "white vase", "cam0/00")
-    assert np.allclose(told.spans, [(0, 0.4)])
-    assert told.times == [0, 1]
-    assert not told.advice
-    with pytest.raises(InputError, match="give view=NAME"):
-        Conversation(played(), "film").when("red car", "left_of", "white vase")
-    asked = {"one": "red car", "relation": "next_to", "other": "white vase"}
-    assert isinstance(answered(played(), Tool(tool="when", name="film", arguments=asked), Limits()), When)
-
-
-def test_classes_of_a_span() -> None:
+def test_classes_of_a_span():
     scene = named("red car", "green apple")
     for during, best in (((0.0, 0.4), 0), ((0.6, 1.0), 1)):
         found = scene.segment(["red car", "green apple"], Cut(threshold=0.3, during=during))
         assert found.counts[best] > 50 > found.counts[1 - best]
 
 
-def test_a_folder_with_motion_is_a_scene(tmp_path: Path) -> None:
+def test_a_folder_with_motion_is_a_scene(tmp_path):
     made = played()
     write_moving(tmp_path / "film.motion", made.moving)
     made.field.save(tmp_path / "film.field")

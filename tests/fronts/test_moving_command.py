@@ -37,20 +37,19 @@ def field(film: Path) -> Path:
     return film / "film.field"
 
 
-def test_a_film_is_registered_with_the_times_of_names(field: Path) -> None:
+def test_a_film_is_registered_with_the_times_of_names(field):
     times = load_field(field).times
-    assert times is not None
     assert times.tolist() == [*range(6), *range(6)]
 
 
-def test_a_film_needs_times(film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_film_needs_times(film, capsys):
     argv = ["register", film / "frames", film / "capture", "--features", film / "capture/language_features"]
     assert main([*map(str, argv), "--output", str(film / "other.field")]) == 1
     assert "has no time, and the scene moves" in capsys.readouterr().err
     assert not (film / "other.field").exists()
 
 
-def test_where_and_when(field: Path, film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_and_when(field, film, capsys):
     found = run(capsys, "locate", field, "red car", "--scene", film / "frames", "--tracks", "--during", 0, 3)
     track = found["matches"][0]["track"]
     assert track["times"] == list(range(6))
@@ -67,14 +66,14 @@ def test_where_and_when(field: Path, film: Path, capsys: pytest.CaptureFixture[s
     assert "pass --view" in capsys.readouterr().err.replace("give", "pass")
 
 
-def test_objects_tell_what_drifts(field: Path, film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_objects_tell_what_drifts(field, film, capsys):
     found = run(capsys, "objects", field, "--scene", film / "frames")
     assert found["drifting"]["num_gaussians"] <= 6
     assert main(["objects", str(field), "--scene", str(film / "frames")]) == 0
     assert "what it belongs to over time" in capsys.readouterr().out
 
 
-def test_a_picture_is_of_its_time(field: Path, film: Path, tmp_path: Path) -> None:
+def test_a_picture_is_of_its_time(field, film, tmp_path):
     for number in (0, 5):
         argv = ["locate", field, "red car", "--scene", film / "frames", "--views", film / "capture", "--times",
                 "cam*/{time}.png", "--picture", tmp_path / f"{number}.png", "--view", f"cam0/{number:02d}"]  # fmt: skip
@@ -84,14 +83,14 @@ def test_a_picture_is_of_its_time(field: Path, film: Path, tmp_path: Path) -> No
     assert (first != last).any()
 
 
-def test_films_are_described(field: Path, film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_films_are_described(field, film, capsys):
     told = run(capsys, "inspect", film / "frames")
     assert (told["kind"], told["num_gaussians"], told["num_times"], told["times"]) == ("scene", 300, 6, [0, 5])
     assert run(capsys, "inspect", field)["times"] == [0, 5]
     assert run(capsys, "inspect", film / "capture")["kind"] == "capture"
 
 
-def test_films_are_converted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_films_are_converted(tmp_path, capsys):
     film = drifting(20)
     write_moving(tmp_path / "given", film)
     told = run(capsys, "motion", tmp_path / "given", "--times", 0, 1, "--output", tmp_path / "film.motion")

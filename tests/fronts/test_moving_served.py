@@ -48,12 +48,12 @@ def tool(folder: Path, name: str, **arguments: Any) -> dict[str, Any]:
     return asked(folder, "tool", {"tool": name, "name": "film", "arguments": arguments})
 
 
-def test_a_scene_says_that_it_moves(folder: Path) -> None:
+def test_a_scene_says_that_it_moves(folder):
     assert asked(folder, "details", {"name": "film"})["times"] == [0, 5]
     assert tool(folder, "about_scene")["times"] == [0, 5]
 
 
-def test_tracks_are_those_of_the_library(folder: Path) -> None:
+def test_tracks_are_those_of_the_library(folder):
     (match,) = asked(folder, "locate", {"text": "red car", "tracks": True})["matches"]
     scene = open_scene(folder / "film")
     (track,) = scene.tracks(scene.locate("red car"))
@@ -67,14 +67,14 @@ def test_tracks_are_those_of_the_library(folder: Path) -> None:
     assert listed["track"]["times"] == told["times"]
 
 
-def test_a_model_reads_a_few_times_of_many(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_reads_a_few_times_of_many(folder, monkeypatch):
     monkeypatch.setattr("drsplat.fronts.serving.conversation.MAX_TRACK_TIMES", 3)
     (listed,) = tool(folder, "locate", text="red car", tracks=True)["matches"]
     assert listed["track"]["times"] == [0, 2, 5]
     assert len(listed["track"]["centers"]) == len(listed["track"]["views"]) == 3
 
 
-def test_when_is_that_of_the_library(folder: Path) -> None:
+def test_when_is_that_of_the_library(folder):
     scene = open_scene(folder / "film")
     what = {"one": "red car", "relation": "left_of", "other": "white vase", "view": "cam0/00"}
     told = asked(folder, "when", what)
@@ -94,6 +94,6 @@ def test_when_is_that_of_the_library(folder: Path) -> None:
         ({"relation": "left_of", "view": "nowhere"}, "nowhere"),
     ],
 )
-def test_what_cannot_be_told_is_said(folder: Path, what: dict[str, Any], said: str) -> None:
+def test_what_cannot_be_told_is_said(folder, what, said):
     body = asked(folder, "when", {"one": "red car", "other": "white vase"} | what, 422)
     assert said in body["error"]

@@ -1,12 +1,10 @@
 """Nouns of the built-in encoder: believed in scenes that look like the rooms it learnt from, and only there."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from command_line import Capture, answer_of, text_of
+from command_line import answer_of, text_of
 from drsplat import LanguageField, Scene, write_gaussians
 from drsplat.photos.models.mini import MiniEncoder
 from drsplat.photos.models.mini.lexicon import SYNONYMS, WORDS, nouns_in, words_of
@@ -28,13 +26,13 @@ def made(level: float) -> tuple[LanguageField, Gaussians]:
     return field.with_objects(described(field, gaussians)), gaussians
 
 
-def test_words_that_say_what_a_thing_is() -> None:
+def test_words_that_say_what_a_thing_is():
     assert nouns_in("a wooden shelf") == ["wooden", "shelf"]
     assert nouns_in("red orange") == ["orange"]
     assert nouns_in("something orange") == nouns_in("dark green things") == []
 
 
-def test_synonyms_are_read_as_what_was_taught() -> None:
+def test_synonyms_are_read_as_what_was_taught():
     assert words_of("red settees and an armchair") == ["red", "sofa", "chair"]
     assert_array_equal(MINI.encode_texts(["a settee"]), MINI.encode_texts(["sofa"]))
     assert not {*SYNONYMS} & {*WORDS}
@@ -42,7 +40,7 @@ def test_synonyms_are_read_as_what_was_taught() -> None:
 
 
 @pytest.mark.parametrize(("level", "believed"), [(CLEAR, True), (FAINT, False)])
-def test_nouns_are_doubted_where_no_word_fits(level: float, believed: bool) -> None:
+def test_nouns_are_doubted_where_no_word_fits(level, believed):
     field, gaussians = made(level)
     scene = Scene(field, gaussians, encoder=MINI)
     assert knows_nouns(MINI, field) is believed
@@ -55,7 +53,7 @@ def test_nouns_are_doubted_where_no_word_fits(level: float, believed: bool) -> N
         assert scene.object_names()[:2] == ["red mug", "blue sofa"]
 
 
-def test_what_an_encoder_without_such_a_number_says_is_believed() -> None:
+def test_what_an_encoder_without_such_a_number_says_is_believed():
     field, gaussians = made(FAINT)
 
     class Other:
@@ -65,7 +63,7 @@ def test_what_an_encoder_without_such_a_number_says_is_believed() -> None:
     assert Scene(field, gaussians, encoder=Other).doubt == ""
 
 
-def test_all_verbs_say_so(tmp_path: Path, capsys: Capture) -> None:
+def test_all_verbs_say_so(tmp_path, capsys):
     field, gaussians = made(FAINT)
     field.save(tmp_path / "a.field")
     write_gaussians(tmp_path / "a.ply", gaussians)
@@ -78,7 +76,7 @@ def test_all_verbs_say_so(tmp_path: Path, capsys: Capture) -> None:
     assert "SAM and CLIP" in answer_of(capsys, "locate", given[0], "clock")["doubt"]
 
 
-def test_servers_and_viewer_say_so() -> None:
+def test_servers_and_viewer_say_so():
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving.conversation import Conversation, tool_answer
     from drsplat.fronts.serving.limits import Limits

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, get_args
 
 import pytest
@@ -41,12 +40,12 @@ BODIES = [request for _, request, *_ in QUERIES] + [AskCatalogue, NewView]
 MODELS = list(dict.fromkeys(model for body in BODIES for model in models_in(body)))
 
 
-def test_models_are_found_in_models() -> None:
+def test_models_are_found_in_models():
     assert {"Click", "Pose", "Lens"} < {model.__name__ for model in MODELS}
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
-def test_null_in_a_body_is_the_default(model: type[BaseModel]) -> None:
+def test_null_in_a_body_is_the_default(model):
     fields = model.model_fields
     sound = {name: SOUND[name] for name, field in fields.items() if field.is_required()}
     bare = model.model_validate(sound)
@@ -73,7 +72,7 @@ class Bench(Workbench):
         raise DrSplatError("asked")
 
 
-def test_null_for_a_tool_is_the_default(tmp_path: Path) -> None:
+def test_null_for_a_tool_is_the_default(tmp_path):
     pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
     from mcp.server.mcpserver.exceptions import ToolError
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import answer_of, error_of, text_of
 from drsplat import Scene
 from drsplat.errors import DrSplatWarning
 from drsplat.field.labels import LabelFile
@@ -21,7 +21,6 @@ UP = np.array([0.0, 0.0, 1.0])
 def doubted(number: int) -> Scene:
     """Three objects, of which photos hardly agree on one."""
     field, gaussians = with_objects()
-    assert field.objects is not None
     sure = field.objects.sure.copy()
     sure[field.objects.thing(number)] = 0.1
     return Scene(field.with_objects(replace(field.objects, sure=sure)), gaussians)
@@ -33,7 +32,7 @@ def a_field(tmp_path: Path) -> Path:
     return tmp_path / "a.field"
 
 
-def test_few_photos_have_to_agree_more_than_many() -> None:
+def test_few_photos_have_to_agree_more_than_many():
     views = np.array([1, 1, 2, 2, 3, 3, 100, 100])
     sure = np.array([0.76, 0.74, 0.51, 0.49, 0.42, 0.41, 0.26, 0.25], np.float32)
     assert agreed(sure, views).tolist() == [True, False] * 4
@@ -41,16 +40,15 @@ def test_few_photos_have_to_agree_more_than_many() -> None:
     assert not agreed(np.ones(1, np.float32), np.zeros(1, np.int32)).any()
 
 
-def test_what_people_named_is_among_the_agreed(tmp_path: Path) -> None:
+def test_what_people_named_is_among_the_agreed(tmp_path):
     scene = doubted(1)
     assert scene.agreed.tolist() == [True, False, True]
     named = Scene(scene.field, scene.gaussians, labels=LabelFile.beside(tmp_path / "a.field"))
-    assert scene.field.objects is not None
     named.label(scene.field.objects.thing(1), "mug")
     assert named.agreed.all()
 
 
-def test_the_table_has_the_agreed_and_counts_the_others(a_field: Path, capsys: Capture) -> None:
+def test_the_table_has_the_agreed_and_counts_the_others(a_field, capsys):
     text = text_of(capsys, "objects", a_field)
     assert text.startswith(f"2 objects that photos agree on, {2 * EACH - 10:,} of 1,490 registered Gaussians in them")
     assert "and 1 more that photos agree less on: --all lists them" in text
@@ -65,7 +63,7 @@ def listed_in(text: str) -> list[str]:
     return [line.split()[0] for line in text.splitlines()[1:] if line.strip()[:1].isdigit()]
 
 
-def test_programs_get_all_and_which_are_agreed(a_field: Path, capsys: Capture) -> None:
+def test_programs_get_all_and_which_are_agreed(a_field, capsys):
     told = answer_of(capsys, "objects", a_field)
     assert (told["num_objects"], told["num_agreed"]) == (3, 2)
     assert [(one["id"], one["agreed"]) for one in told["objects"]] == [(0, True), (1, False), (2, True)]
@@ -75,9 +73,8 @@ def test_programs_get_all_and_which_are_agreed(a_field: Path, capsys: Capture) -
     assert [row.rsplit(",", 1)[1] for row in rows] == ["agreed", "1", "0", "1"]
 
 
-def test_a_list_of_none(a_field: Path, capsys: Capture) -> None:
+def test_a_list_of_none(a_field, capsys):
     scene = doubted(1)
-    assert scene.field.objects is not None
     none = replace(scene.field.objects, sure=np.zeros_like(scene.field.objects.sure))
     scene.field.with_objects(none).save(a_field, overwrite=True)
     assert "0 objects that photos agree on" in text_of(capsys, "objects", a_field)
@@ -85,7 +82,7 @@ def test_a_list_of_none(a_field: Path, capsys: Capture) -> None:
     assert "--all draws them" in error_of(capsys, "objects", a_field, *picture)
 
 
-def test_a_page_lists_the_agreed_first_and_finds_each_in_the_picture() -> None:
+def test_a_page_lists_the_agreed_first_and_finds_each_in_the_picture():
     session = Session(doubted(0))
     assert in_order(session) == ([1, 2], [0])
     listed = objects_of_page(session, UP)
@@ -93,12 +90,11 @@ def test_a_page_lists_the_agreed_first_and_finds_each_in_the_picture() -> None:
         ("object 1", False), ("object 2", False), ("object 0", True),
     ]  # fmt: skip
     numbers = object_numbers(session)
-    assert numbers is not None
     assert numbers[[0, EACH, 2 * EACH, 3 * EACH - 1]].tolist() == [3, 1, 2, 0]
     assert names_of(session) == ["object 0", "object 1", "object 2"]
 
 
-def test_a_catalogue_counts_them(tmp_path: Path, capsys: Capture) -> None:
+def test_a_catalogue_counts_them(tmp_path, capsys):
     pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
     from drsplat.query.catalogue import Catalogue
 

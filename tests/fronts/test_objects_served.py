@@ -61,9 +61,9 @@ def talk_of(folder: Path) -> Conversation:
     return Conversation(open_scene(folder), folder.name)
 
 
-def test_the_same_list_everywhere(folder: Path) -> None:
+def test_the_same_list_everywhere(folder):
     scene = open_scene(folder)
-    scene.label(scene.field.objects.thing(1), "mug")  # type: ignore[union-attr]
+    scene.label(scene.field.objects.thing(1), "mug")
     told = json.loads(reply(folder, "objects").body)
     of_models = talk_of(folder).list_objects(20).model_dump()
     assert told == of_models
@@ -77,15 +77,15 @@ def test_the_same_list_everywhere(folder: Path) -> None:
     assert [one["label"] for one in told["objects"]] == [None, "mug", None]
 
 
-def test_a_new_name_is_told_without_a_restart(folder: Path) -> None:
+def test_a_new_name_is_told_without_a_restart(folder):
     scene_folder = SceneFolder(folder)
     assert json.loads(reply(folder, "objects", scene_folder=scene_folder).body)["objects"][0]["label"] is None
     scene = open_scene(folder)
-    scene.label(scene.field.objects.thing(0), "bowl")  # type: ignore[union-attr]
+    scene.label(scene.field.objects.thing(0), "bowl")
     assert json.loads(reply(folder, "objects", scene_folder=scene_folder).body)["objects"][0]["label"] == "bowl"
 
 
-def test_one_object(folder: Path) -> None:
+def test_one_object(folder):
     picture = reply(folder, "object-picture", {"number": 2})
     assert picture.media_type == "image/jpeg"
     image = Image.open(io.BytesIO(picture.body))
@@ -101,13 +101,13 @@ def test_one_object(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("act", ["object-picture", "object-ply"])
-def test_objects_that_are_not_there(act: str, folder: Path) -> None:
+def test_objects_that_are_not_there(act, folder):
     refused = reply(folder, act, {"number": 3})
     assert refused.status == 422
     assert "there are 0 to 2" in json.loads(refused.body)["error"]
 
 
-def test_a_field_without_objects_says_what_to_do(folder: Path) -> None:
+def test_a_field_without_objects_says_what_to_do(folder):
     scene = open_scene(folder)
     scene.field.with_objects(None).save(folder / "a.field", overwrite=True)
     refused = reply(folder, "objects")
@@ -117,9 +117,9 @@ def test_a_field_without_objects_says_what_to_do(folder: Path) -> None:
         talk_of(folder).list_objects(20)
 
 
-def test_relations_by_number_and_by_name(folder: Path) -> None:
+def test_relations_by_number_and_by_name(folder):
     scene = open_scene(folder)
-    scene.label(scene.field.objects.thing(2), "Far Box")  # type: ignore[union-attr]
+    scene.label(scene.field.objects.thing(2), "Far Box")
     talk = talk_of(folder)
     between = talk.relations("between", "0", "far box")
     assert between.to == [0, 2]
@@ -132,14 +132,14 @@ def test_relations_by_number_and_by_name(folder: Path) -> None:
         talk.relations("between", "1")
 
 
-def test_long_lists_are_cut(folder: Path) -> None:
+def test_long_lists_are_cut(folder):
     told = talk_of(folder).list_objects(2)
     assert (told.num_objects, [one.id for one in told.objects]) == (3, [0, 1])
     assert told.advice == "the 2 largest of 3"
 
 
 @pytest.mark.slow
-def test_routes(folder: Path) -> None:
+def test_routes(folder):
     httpx = pytest.importorskip("httpx")
     from drsplat.fronts.serving.app import Settings, create_app
 
@@ -161,9 +161,8 @@ def test_routes(folder: Path) -> None:
     assert (none.status_code, bad.status_code) == (422, 422)
 
 
-def test_what_photos_agree_less_on_is_listed_when_it_is_asked_for(folder: Path) -> None:
+def test_what_photos_agree_less_on_is_listed_when_it_is_asked_for(folder):
     field = open_scene(folder).field
-    assert field.objects is not None
     sure = field.objects.sure.copy()
     sure[field.objects.thing(0)] = 0.1
     field.with_objects(replace(field.objects, sure=sure)).save(folder / "a.field", overwrite=True)
@@ -178,7 +177,7 @@ def test_what_photos_agree_less_on_is_listed_when_it_is_asked_for(folder: Path) 
     assert [one.id for one in talk.list_objects(20, unsure=True).objects] == [0, 1, 2]
 
 
-def test_a_scene_is_sent_as_a_file_with_its_names(folder: Path) -> None:
+def test_a_scene_is_sent_as_a_file_with_its_names(folder):
     sent = reply(folder, "export", {})
     assert sent.media_type == "model/gltf-binary"
     assert sent.field == open_scene(folder).field.fingerprint
@@ -198,18 +197,18 @@ def test_a_scene_is_sent_as_a_file_with_its_names(folder: Path) -> None:
         ({"time": 1.0}, "this scene stands still"),
     ],
 )
-def test_a_file_that_cannot_be_is_refused(asked: dict[str, object], message: str, folder: Path) -> None:
+def test_a_file_that_cannot_be_is_refused(asked, message, folder):
     refused = reply(folder, "export", asked)
     assert refused.status == 422
     assert message in json.loads(refused.body)["error"]
 
 
-def test_a_scene_that_is_too_large_is_not_sent(folder: Path) -> None:
+def test_a_scene_that_is_too_large_is_not_sent(folder):
     with pytest.raises(InputError, match=r"up to 0 are sent: `drsplat export` writes it"):
         exported(open_scene(folder), Export(), Limits(file_bytes=100))
 
 
-def test_a_file_that_takes_too_long_is_refused_before_it_begins(folder: Path) -> None:
+def test_a_file_that_takes_too_long_is_refused_before_it_begins(folder):
     """It was computed until the time was over, in one of two processes."""
     scene = open_scene(folder)
     whole_s, part_s = (len(scene.gaussians) * each for each in (WRITING_S, WRITING_S + COMPLETING_S))

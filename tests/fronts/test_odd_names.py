@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from command_line import Capture, answer_of
+from command_line import answer_of
 from drsplat.formats.json_files import written_name
 from drsplat.formats.rendering_record import read_rendering_record
 from drsplat.formats.tiles import read_tiles
@@ -27,36 +27,35 @@ def odd_room(room: Path) -> Path:
     return odd
 
 
-def test_a_name_is_written_byte_by_byte() -> None:
+def test_a_name_is_written_byte_by_byte():
     assert written_name(ODD) == r"b\xff"
     assert written_name("väse") == "väse"
 
 
-def test_tiles_of_a_scene_with_an_odd_name_can_be_read(odd_room: Path, capsys: Capture) -> None:
+def test_tiles_of_a_scene_with_an_odd_name_can_be_read(odd_room, capsys):
     scene, output = odd_room / f"{ODD}.ply", odd_room / f"{ODD}.tiles"
     assert answer_of(capsys, "tile", scene, "--output", output)["sources"] == [r"b\xff.ply"]
     assert read_tiles(output).sources == (r"b\xff.ply",)
     answer_of(capsys, "inspect", output)
 
 
-def test_photographs_of_a_scene_with_an_odd_name_can_be_read(odd_room: Path, capsys: Capture) -> None:
+def test_photographs_of_a_scene_with_an_odd_name_can_be_read(odd_room, capsys):
     scene, output = odd_room / f"{ODD}.ply", odd_room / "capture"
     answer_of(capsys, "photograph", scene, "--output", output, "--number", 3, "--size", "48x32")
     record = read_rendering_record(output)
-    assert record is not None
-    assert record["scene"]["name"] == r"b\xff.ply"  # type: ignore[index]
+    assert record["scene"]["name"] == r"b\xff.ply"
     answer_of(capsys, "inspect", output)
 
 
 @pytest.mark.parametrize("suffix", ["glb", "ply", "spz", "usda"])
-def test_exports_of_a_scene_with_an_odd_name_can_be_read(suffix: str, odd_room: Path, capsys: Capture) -> None:
+def test_exports_of_a_scene_with_an_odd_name_can_be_read(suffix, odd_room, capsys):
     output = odd_room / f"{ODD} out.{suffix}"
     given = (odd_room / f"{ODD}.ply", "--field", odd_room / f"{ODD}.field")
     answer_of(capsys, "export", *given, "--output", output)
     answer_of(capsys, "inspect", output)
 
 
-def test_edits_and_labels_beside_odd_names_can_be_read(odd_room: Path, capsys: Capture) -> None:
+def test_edits_and_labels_beside_odd_names_can_be_read(odd_room, capsys):
     scene, field = odd_room / f"{ODD}.ply", odd_room / f"{ODD}.field"
     answer_of(capsys, "edit", scene, "--field", field, "--object", 0, "--recolour", "#2060ff")
     answer_of(capsys, "objects", field, "--label", "my thing", "--id", 0)
@@ -65,7 +64,7 @@ def test_edits_and_labels_beside_odd_names_can_be_read(odd_room: Path, capsys: C
 
 
 @pytest.mark.parametrize("odd", ["input", "output"])
-def test_a_scan_whose_record_could_not_be_read_is_refused_first(odd: str, tmp_path: Path, capsys: Capture) -> None:
+def test_a_scan_whose_record_could_not_be_read_is_refused_first(odd, tmp_path, capsys):
     photos = tmp_path / (ODD if odd == "input" else "photos")
     photos.mkdir()
     (photos / "a.png").write_bytes(b"")

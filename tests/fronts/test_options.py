@@ -85,7 +85,7 @@ def values_of(action: argparse.Action) -> list[str]:
     return NUMBERS if is_number(action) else TEXTS
 
 
-def test_every_option_that_is_a_number_refuses_what_is_none() -> None:
+def test_every_option_that_is_a_number_refuses_what_is_none():
     seen = set()
     for verb in cli.VERBS:
         for action in options_of(verb):
@@ -98,16 +98,16 @@ def test_every_option_that_is_a_number_refuses_what_is_none() -> None:
 
 
 @given(st.text() | st.integers().map(str) | st.floats().map(str))
-def test_a_number_is_read_or_refused(text: str) -> None:
+def test_a_number_is_read_or_refused(text):
     for read, low, high in ((whole, 0, MAX_COUNT), (finite, -MAX_NUMBER, MAX_NUMBER), (length, 0, MAX_NUMBER)):
         try:
-            number = read(text)  # type: ignore[operator]
+            number = read(text)
         except argparse.ArgumentTypeError:
             continue
         assert low <= number <= high
 
 
-def test_numbers_are_read() -> None:
+def test_numbers_are_read():
     assert [whole(text) for text in ("0", "007", "2147483647")] == [0, 7, MAX_COUNT]
     assert (finite("-1e3"), length("0.5"), words("größer")) == (-1000, 0.5, "größer")
 
@@ -181,9 +181,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", [verb for verb in cli.VERBS if verb not in LASTING])
-def test_no_value_of_an_option_is_a_traceback(
-    verb: str, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_value_of_an_option_is_a_traceback(verb, room, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     tried = 0
@@ -203,7 +201,7 @@ def test_no_value_of_an_option_is_a_traceback(
 @pytest.mark.parametrize("argv", [["inspect", "{room}/scene.ply"], ["inspect", "nowhere"]])
 @pytest.mark.parametrize("json", [[], ["--json"]])
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_a_full_disk_behind_stdout_is_one_line(argv: list[str], json: list[str], room: Path) -> None:
+def test_a_full_disk_behind_stdout_is_one_line(argv, json, room):
     command = [sys.executable, "-m", "drsplat", *(part.format(room=room) for part in argv), *json]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
@@ -212,7 +210,7 @@ def test_a_full_disk_behind_stdout_is_one_line(argv: list[str], json: list[str],
     assert done.stderr.count("\n") == 1
 
 
-def test_arguments_that_are_no_text_are_refused(room: Path) -> None:
+def test_arguments_that_are_no_text_are_refused(room):
     """As bytes, which is how a shell hands them over."""
     command = [os.fsencode(sys.executable), b"-m", b"drsplat", b"select", os.fsencode(room / "room.field")]
     done = subprocess.run([*command, b"red \x80"], capture_output=True, text=True, check=False)

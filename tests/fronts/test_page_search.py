@@ -75,9 +75,7 @@ def shown(chromium: Any, path: Path) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("kind", ["objects", "plain"])
-def test_fifty_words_that_nobody_baked_in_are_answered_as_the_engine_does(
-    exported: Pages, kind: str, chromium: Any
-) -> None:
+def test_fifty_words_that_nobody_baked_in_are_answered_as_the_engine_does(exported, kind, chromium):
     """Sure, maybe or nothing, how many matches are sure, and the best one: its object, its place, its Gaussians."""
     scene, path = exported[kind]
     assert len(set(FIFTY) - set(BAKED)) == 50
@@ -100,9 +98,7 @@ def test_fifty_words_that_nobody_baked_in_are_answered_as_the_engine_does(
 
 
 @pytest.mark.parametrize("kind", ["objects", "plain"])
-def test_the_rules_are_those_of_the_engine(
-    exported: Pages, kind: str, chromium: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_rules_are_those_of_the_engine(exported, kind, chromium, monkeypatch):
     """The engine, asked of the features that the page holds, has the same values, thresholds and doubts."""
     texts = [
         "mug",
@@ -135,7 +131,7 @@ def test_the_rules_are_those_of_the_engine(
         assert (own["certainty"], own["doubt"], own["measure"]) == (answer.certainty, answer.doubt, answer.measure)
 
 
-def test_words_and_sentences_are_read_as_the_engine_reads_them(exported: Pages, chromium: Any) -> None:
+def test_words_and_sentences_are_read_as_the_engine_reads_them(exported, chromium):
     texts = [
         "Orange", "an orange mug", "the orange one", "something orange", "knives", "teddy bears", "loaves",
         "dark green", "a red thing", "violet", "wooden chairs", "boxes", *WORDS, *SYNONYMS, "rose",
@@ -162,7 +158,7 @@ def test_words_and_sentences_are_read_as_the_engine_reads_them(exported: Pages, 
     assert "chair" in unknown
 
 
-def test_a_page_says_what_it_knows_and_offers_it(exported: Pages, chromium: Any) -> None:
+def test_a_page_says_what_it_knows_and_offers_it(exported, chromium):
     """Before anybody types, and while they type; what it does not know it says with the nearest words."""
     with shown(chromium, exported["objects"][1]) as page:
         page.wait_for_selector("#knows")
@@ -183,7 +179,7 @@ def test_a_page_says_what_it_knows_and_offers_it(exported: Pages, chromium: Any)
 
 
 @pytest.mark.parametrize("kind", ["objects", "plain"])
-def test_without_a_match_a_page_names_words_that_do_match(exported: Pages, kind: str, chromium: Any) -> None:
+def test_without_a_match_a_page_names_words_that_do_match(exported, kind, chromium):
     """As the engine does: how near the best place came, and the nearest words, which can be clicked."""
     scene, path = exported[kind]
     answer = scene.ask("teddy bear")
@@ -203,7 +199,7 @@ def test_without_a_match_a_page_names_words_that_do_match(exported: Pages, kind:
         assert page.locator("#content .instead").count() == 0
 
 
-def test_a_page_is_at_most_twice_as_large_as_without_its_search(exported: Pages, tmp_path: Path) -> None:
+def test_a_page_is_at_most_twice_as_large_as_without_its_search(exported, tmp_path):
     scene, path = exported["objects"]
     made = export_page(tmp_path / "page.html", scene, BAKED)
     pages.write_page(tmp_path / "without.html", replace(made, search=None))
@@ -227,7 +223,7 @@ def listed_scene(words: int = 350, rows: int = 6000) -> Scene:
     return Scene(field, gaussians, views, VocabularyEncoder(CLIP, names, world.texts), threads=1)
 
 
-def test_a_listed_word_is_answered_as_the_engine_does(chromium: Any, tmp_path: Path) -> None:
+def test_a_listed_word_is_answered_as_the_engine_does(chromium, tmp_path):
     """Of a field that keeps its words, as CLIP's do: also a kind, which its names answer."""
     scene = listed_scene()
     export_page(tmp_path / "page.html", scene, ["stone"])
@@ -253,7 +249,7 @@ def test_a_listed_word_is_answered_as_the_engine_does(chromium: Any, tmp_path: P
     assert {"sure", "nothing"} <= certain
 
 
-def test_near_words_are_the_same_one_by_one_and_all_at_once() -> None:
+def test_near_words_are_the_same_one_by_one_and_all_at_once():
     world = World(60)
     queries = np.concatenate([world.texts[:20], World(9, seed=2).texts])
     each = contrast.near_each(world.texts, queries)

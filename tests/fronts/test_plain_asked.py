@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
-from command_line import Capture, answer_of, error_of
+from command_line import answer_of, error_of
 from drsplat import Answer, Cut, Match, Query, Scene, load_field, read_gaussians
 from drsplat.authoring.editing.resolving import query_rows
 from drsplat.field.labels import LabelFile
@@ -78,18 +79,18 @@ def same_matches(found: list[Match], expected: list[Match]) -> None:
     for one, other in zip(found, expected, strict=True):
         assert one.object_id is None
         for part in fields(Match):
-            np.testing.assert_array_equal(getattr(one, part.name), getattr(other, part.name))
+            assert_array_equal(getattr(one, part.name), getattr(other, part.name))
 
 
 def same_answers(given: Answer, expected: Answer) -> None:
     assert (given.measure, given.threshold, given.rule) == (expected.measure, expected.threshold, expected.rule)
     for name in ("values", "scores", "vector", "gaussian_ids"):
-        np.testing.assert_array_equal(getattr(given, name), getattr(expected, name))
+        assert_array_equal(getattr(given, name), getattr(expected, name))
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=["bare", "listed"])
 @pytest.mark.parametrize("kind", QUERIES)
-def test_answers_and_places_are_those_of_the_plain_field(kind: str, scene: Scene) -> None:
+def test_answers_and_places_are_those_of_the_plain_field(kind, scene):
     query, plain = Query(**QUERIES[kind]), without_objects(scene)
     never = replace(query, objects="never")
     same_answers(scene.ask(never), plain.ask(query))
@@ -99,18 +100,18 @@ def test_answers_and_places_are_those_of_the_plain_field(kind: str, scene: Scene
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=["bare", "listed"])
-def test_classes_are_those_of_the_plain_field(scene: Scene) -> None:
+def test_classes_are_those_of_the_plain_field(scene):
     names, plain = ("0", "1", "3"), without_objects(scene)
     for cut in (Cut(), Cut(threshold=0.3), Cut(relevancy=True, negatives=("2",))):
         found, expected = scene.segment(names, replace(cut, objects="never")), plain.segment(names, cut)
-        np.testing.assert_array_equal(found.labels, expected.labels)
+        assert_array_equal(found.labels, expected.labels)
         for one, other in zip(found.answers, expected.answers, strict=True):
             same_answers(one, other)
     whole = scene.segment(names).answers[0]
     assert (whole.values != plain.segment(names).answers[0].values).any()
 
 
-def test_both_ways_share_what_queries_are_compared_with() -> None:
+def test_both_ways_share_what_queries_are_compared_with():
     scene = noisy_scene(listed=True)
     scene.ask("0")
     known = scene.background.kept_contrast
@@ -121,7 +122,7 @@ def test_both_ways_share_what_queries_are_compared_with() -> None:
     assert scene.ask("0").field.objects is not None
 
 
-def test_a_label_is_a_word_like_others(tmp_path: Path) -> None:
+def test_a_label_is_a_word_like_others(tmp_path):
     scene = noisy_scene()
     named = Scene(scene.field, scene.gaussians, encoder=Axes(), labels=LabelFile.beside(tmp_path / "known.field"))
     named.label(named.field.objects.thing(2), "7")
@@ -129,7 +130,7 @@ def test_a_label_is_a_word_like_others(tmp_path: Path) -> None:
     same_answers(named.ask(Query("7", objects="never")), without_objects(scene).ask("7"))
 
 
-def test_a_span_of_time_too() -> None:
+def test_a_span_of_time_too():
     scene = passing_scene(objects=True)
     query = Query("red car", during=(0.0, 0.2))
     same_matches(scene.locate(replace(query, objects="never")), without_objects(scene).locate(query))
@@ -145,14 +146,14 @@ def mislabelled(folder: Path) -> Scene:
     return named
 
 
-def test_relations_too(tmp_path: Path) -> None:
+def test_relations_too(tmp_path):
     scene = mislabelled(tmp_path)
     expected = without_objects(scene).when("red car", "next_to", "white vase")
     one, other = (Query(words, objects="never") for words in ("red car", "white vase"))
     assert scene.when(one, "next_to", other) == expected != scene.when("red car", "next_to", "white vase")
 
 
-def test_services_ask_for_relations_too(tmp_path: Path) -> None:
+def test_services_ask_for_relations_too(tmp_path):
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving.conversation import Conversation
     from drsplat.fronts.serving.limits import Limits
@@ -167,13 +168,13 @@ def test_services_ask_for_relations_too(tmp_path: Path) -> None:
     assert talk.when(**asked).spans == when(scene, When(**asked), Limits()).spans != expected
 
 
-def test_edits_and_pictures_of_attributes_too() -> None:
+def test_edits_and_pictures_of_attributes_too():
     scene, never = noisy_scene(), Query("0", threshold=0.6, objects="never")
     plain = without_objects(scene)
-    np.testing.assert_array_equal(query_rows(scene, never).spans, query_rows(plain, never).spans)
+    assert_array_equal(query_rows(scene, never).spans, query_rows(plain, never).spans)
     match = scene.locate(Query(point=CENTERS[0]))[0]
     row = attribute_row(scene, match, [Query("0", objects="never"), Query("3", objects="never")])
-    np.testing.assert_array_equal(row, attribute_row(plain, match, ["0", "3"]))
+    assert_array_equal(row, attribute_row(plain, match, ["0", "3"]))
     assert (row != attribute_row(scene, match, ["0", "3"])).any()
 
 
@@ -202,28 +203,7 @@ def argv_of(room: Path, verb: str, *more: object) -> list[object]:
     return [*words, "--threshold", "0.4", *more]
 
 
-def test_selections_matches_and_classes(room: Path, capsys: Capture) -> None:
-    for never, count in (((), 2 * PER_THING), (NEVER, PER_THING)):
-        assert answer_of(capsys, *argv_of(room, "select", *never))["num_selected"] == count
-        (match,) = answer_of(capsys, *argv_of(room, "locate", *never))["matches"]
-        assert match["num_gaussians"] == count
-        assert answer_of(capsys, *argv_of(room, "segment", *never))["num_labelled"] == count
-
-
-def test_a_click(room: Path, capsys: Capture) -> None:
-    seen = ("--scene", room / "scene.ply", "--views", room / "capture", "--click", "photo_0.png:36,38")
-    whole = answer_of(capsys, "select", room / "room.field", *seen)
-    assert (whole["threshold_rule"], whole["num_selected"]) == ("object", 2 * PER_THING)
-    load_field(room / "room.field").with_objects(None).save(room / "plain.field", overwrite=True)
-    alike, plain = (
-        answer_of(capsys, "select", *argv)
-        for argv in ((room / "room.field", *seen, *NEVER), (room / "plain.field", *seen))
-    )
-    assert alike | {"field": plain["field"]} == plain
-    assert alike["threshold_rule"] == "auto"
-
-
-def test_edits_and_renderings(room: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_edits_and_renderings(room, tmp_path, capsys):
     for never, count in (((), 2 * PER_THING), (NEVER, PER_THING)):
         argv = argv_of(room, "edit", *never, "--isolate", "--save", tmp_path / "out.ply", "--overwrite")
         answer_of(capsys, *argv)
@@ -232,18 +212,8 @@ def test_edits_and_renderings(room: Path, tmp_path: Path, capsys: Capture) -> No
         assert answer_of(capsys, *argv_of(room, "render", *never, *drawn))["num_selected"] == count
 
 
-def test_a_file_of_options_may_say_it(room: Path, tmp_path: Path, capsys: Capture) -> None:
-    config = tmp_path / "options.toml"
-    config.write_text('objects = "never"\n')
-    argv = argv_of(room, "select", "--config", config)
-    assert answer_of(capsys, *argv)["num_selected"] == PER_THING
-    assert answer_of(capsys, *argv, "--objects", "auto")["num_selected"] == 2 * PER_THING
-    config.write_text('[select]\nobjects = "nevr"\n')
-    assert "options.toml: objects: expected auto or never" in error_of(capsys, *argv)
-
-
 @pytest.mark.parametrize("verb", ["select", "locate", "segment", "edit", "render", "when"])
-def test_any_other_word_is_misuse(verb: str, room: Path, capsys: Capture) -> None:
+def test_any_other_word_is_misuse(verb, room, capsys):
     asked = ("when", room, "a", "on", "b") if verb == "when" else argv_of(room, verb)
     said = error_of(capsys, *asked, "--objects", "nevr", code=2)
     assert "--objects" in said

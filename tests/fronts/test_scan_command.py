@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import answer_of, error_of, text_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
 from drsplat.errors import pip_install
@@ -95,7 +95,7 @@ def results(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in files if file.is_file()}
 
 
-def test_a_scan_of_a_capture_says_what_it_made(copy: Path, capture_folder: Path, capsys: Capture) -> None:
+def test_a_scan_of_a_capture_says_what_it_made(copy, capture_folder, capsys):
     line = ["scan", capture_folder, "-o", copy, *QUICK, "--ask", "something red", "--ask", "xyzzy"]
     answer = answer_of(capsys, *line)
     assert (answer["num_photos"], answer["num_registered"], answer["left_out"]) == (NUM_PHOTOS, NUM_PHOTOS, [])
@@ -112,14 +112,14 @@ def test_a_scan_of_a_capture_says_what_it_made(copy: Path, capture_folder: Path,
     assert any("drsplat-mini" in note and "colours" in note for note in answer["notes"])
 
 
-def test_verbs_take_the_folder_by_its_name(scanned: Path, capsys: Capture) -> None:
+def test_verbs_take_the_folder_by_its_name(scanned, capsys):
     assert answer_of(capsys, "objects", scanned)["num_objects"] >= 0
     assert answer_of(capsys, "locate", scanned, "something red")["num_registered"] > 0
     assert answer_of(capsys, "view", scanned, "--export", scanned.parent / "p.html", "--ask", "something red")["bytes"]
     assert len(open_scene(scanned).views) == NUM_PHOTOS
 
 
-def test_the_page_turns_when_it_is_opened_and_needs_nothing_else(scanned: Path) -> None:
+def test_the_page_turns_when_it_is_opened_and_needs_nothing_else(scanned):
     text = (scanned / "index.html").read_text()
     assert '"plays": true' in text
     assert "default-src 'none'" in text
@@ -134,16 +134,12 @@ def test_the_page_turns_when_it_is_opened_and_needs_nothing_else(scanned: Path) 
         ("mug, not", "expected words and their exclusions"),
     ],
 )
-def test_words_that_no_scene_could_answer_are_refused_before_the_training(
-    ask: str, said: str, capture_folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_words_that_no_scene_could_answer_are_refused_before_the_training(ask, said, capture_folder, tmp_path, capsys):
     assert said in error_of(capsys, "scan", capture_folder, "-o", tmp_path / "room", *QUICK, "--ask", ask)
     assert not (tmp_path / "room/model").exists()
 
 
-def test_nouns_that_photos_do_not_fit_are_doubted_once_and_before_the_training(
-    capture_folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_nouns_that_photos_do_not_fit_are_doubted_once_and_before_the_training(capture_folder, tmp_path, capsys):
     line = ["scan", str(capture_folder), "-o", str(tmp_path / "room"), *QUICK, "--ask", "teddy; something red"]
     assert main(line) == 0
     shown = capsys.readouterr()
@@ -152,11 +148,10 @@ def test_nouns_that_photos_do_not_fit_are_doubted_once_and_before_the_training(
     assert shown.out.count("made-up rooms") == 1
     assert shown.out.index(said) < shown.out.index("\nteddy: ")
     record = read_scan_record(tmp_path / "room")
-    assert record is not None
     assert "made-up rooms" in record["stages"]["view"]["answer"]["answers"][0]["doubt"]
 
 
-def test_photos_like_the_rooms_of_the_training_may_be_asked_for_things() -> None:
+def test_photos_like_the_rooms_of_the_training_may_be_asked_for_things():
     photos = scan_input(Path(household.__file__).parent / "scene")
     choice = choosing.ModelChoice("graph", "drsplat-mini").judged(photos, 0)
     assert not choice.doubts_nouns
@@ -166,14 +161,14 @@ def test_photos_like_the_rooms_of_the_training_may_be_asked_for_things() -> None
     assert clip.nouns_of(["xyzzy"]) == ["xyzzy"]
 
 
-def test_a_finished_scan_is_not_made_again(scanned: Path, capture_folder: Path, capsys: Capture) -> None:
+def test_a_finished_scan_is_not_made_again(scanned, capture_folder, capsys):
     before = {path: path.stat().st_mtime_ns for path in (scanned / "scene.field").iterdir()}
     text = text_of(capsys, "scan", capture_folder, "-o", scanned, *QUICK, "--ask", "something red; something blue")
     assert f"Open {scanned / 'index.html'} in a browser" in text
     assert before == {path: path.stat().st_mtime_ns for path in (scanned / "scene.field").iterdir()}
 
 
-def test_other_queries_make_only_the_page_anew(copy: Path, capture_folder: Path, capsys: Capture) -> None:
+def test_other_queries_make_only_the_page_anew(copy, capture_folder, capsys):
     before = results(copy)
     answer = answer_of(capsys, "scan", capture_folder, "-o", copy, *QUICK, "--ask", "something blue")
     assert [one["query"] for one in answer["answers"]] == ["something blue"]
@@ -182,7 +177,7 @@ def test_other_queries_make_only_the_page_anew(copy: Path, capture_folder: Path,
 
 
 @pytest.mark.slow
-def test_other_options_are_refused_and_made_with_overwrite(copy: Path, capture_folder: Path, capsys: Capture) -> None:
+def test_other_options_are_refused_and_made_with_overwrite(copy, capture_folder, capsys):
     line = ["scan", capture_folder, "-o", copy, "--iterations", "50", "--threads", "1", *MODELS]
     error = error_of(capsys, *line)
     assert "iterations was 40, now 50" in error
@@ -192,12 +187,11 @@ def test_other_options_are_refused_and_made_with_overwrite(copy: Path, capture_f
     assert answer["num_gaussians"] > 0
     assert list((copy / "model/point_cloud").iterdir()) == [copy / "model/point_cloud/iteration_50"]
     record = read_scan_record(copy)
-    assert record is not None
     assert record["stages"]["train"]["options"]["iterations"] == [["50"]]
     assert (copy / "features/embedding.json").stat().st_mtime_ns != features
 
 
-def test_other_photos_are_refused(copy: Path, capture_folder: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_other_photos_are_refused(copy, capture_folder, tmp_path, capsys):
     other = Path(shutil.copytree(capture_folder, tmp_path / "other"))
     photo = next((other / "images").iterdir())
     photo.write_bytes(photo.read_bytes() + b"\0")
@@ -206,14 +200,13 @@ def test_other_photos_are_refused(copy: Path, capture_folder: Path, tmp_path: Pa
 
 @pytest.mark.slow
 def test_a_file_of_options_has_a_table_for_each_verb(
-    capture_folder: Path, tmp_path: Path, capsys: Capture
-) -> None:  # fmt: skip
+    capture_folder, tmp_path, capsys
+):  # fmt: skip
     config = tmp_path / "scan.toml"
     lines = '[scan]\niterations = 30\n[train]\nsh-degree = 1\n[embed]\nsegmenter = "graph"\nencoder = "drsplat-mini"\n'
     config.write_text(lines)
     answer_of(capsys, "scan", capture_folder, "-o", tmp_path / "room", "--config", config)
     record = read_scan_record(tmp_path / "room")
-    assert record is not None
     assert record["stages"]["train"]["options"]["sh-degree"] == [["1"]]
     assert record["stages"]["train"]["options"]["iterations"] == [["30"]]
     assert record["models"]["segmenter"] == "graph"
@@ -231,16 +224,14 @@ def test_a_file_of_options_has_a_table_for_each_verb(
         ("[embed]\npoints = 16", "leave out --points"),
     ],
 )
-def test_a_file_of_options_with_a_slip_is_refused_before_any_work(
-    text: str, said: str, capture_folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_file_of_options_with_a_slip_is_refused_before_any_work(text, said, capture_folder, tmp_path, capsys):
     (tmp_path / "scan.toml").write_text(text)
     line = ["scan", capture_folder, "-o", tmp_path / "room", *MODELS, "--config", tmp_path / "scan.toml"]
     assert said in error_of(capsys, *line)
     assert not (tmp_path / "room/model").exists()
 
 
-def test_a_file_of_options_may_say_how_many_photos_are_embedded(tmp_path: Path) -> None:
+def test_a_file_of_options_may_say_how_many_photos_are_embedded(tmp_path):
     (tmp_path / "scan.toml").write_text("[embed]\nviews = 'all'")
     check_tables(str(tmp_path / "scan.toml"), ["embed", "view"])
 
@@ -251,9 +242,7 @@ def started(line: list[str]) -> "subprocess.Popen[str]":
 
 
 @pytest.mark.slow
-def test_a_scan_that_is_killed_in_each_stage_ends_with_the_same_bytes(
-    scanned: Path, capture_folder: Path, tmp_path: Path
-) -> None:
+def test_a_scan_that_is_killed_in_each_stage_ends_with_the_same_bytes(scanned, capture_folder, tmp_path):
     folder = tmp_path / "room"
     line = ["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; something blue"]
     for verb in STAGES:
@@ -271,7 +260,7 @@ def _record_text(folder: Path) -> str:
     return record.read_text() if record.is_file() else ""
 
 
-def test_a_scan_that_is_interrupted_says_how_to_go_on(capture_folder: Path, tmp_path: Path) -> None:
+def test_a_scan_that_is_interrupted_says_how_to_go_on(capture_folder, tmp_path):
     process = started(["scan", str(capture_folder), "-o", str(tmp_path / "room"), *MODELS])
     while process.poll() is None and not (tmp_path / "room/model/checkpoint.safetensors").is_file():
         time.sleep(0.01)
@@ -282,9 +271,7 @@ def test_a_scan_that_is_interrupted_says_how_to_go_on(capture_folder: Path, tmp_
 
 
 @pytest.mark.slow
-def test_without_a_name_the_output_is_called_after_the_input(
-    capture_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_without_a_name_the_output_is_called_after_the_input(capture_folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert answer_of(capsys, "scan", capture_folder, *QUICK)["output"] == "capture-scan"
     assert (tmp_path / "capture-scan/index.html").is_file()
@@ -292,7 +279,7 @@ def test_without_a_name_the_output_is_called_after_the_input(
 
 @pytest.mark.slow
 @has_colmap
-def test_photos_without_poses_end_as_a_page(tmp_path: Path, capsys: Capture) -> None:
+def test_photos_without_poses_end_as_a_page(tmp_path, capsys):
     write_room(tmp_path / "photos", room_views(10))
     (tmp_path / "photos/empty.jpg").touch()
     answer = answer_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room", *QUICK)
@@ -309,7 +296,7 @@ def test_photos_without_poses_end_as_a_page(tmp_path: Path, capsys: Capture) -> 
 
 @pytest.mark.slow
 @has_colmap
-def test_photos_that_come_after_a_scan_that_found_no_poses_are_taken(tmp_path: Path, capsys: Capture) -> None:
+def test_photos_that_come_after_a_scan_that_found_no_poses_are_taken(tmp_path, capsys):
     views = room_views(10)
     write_room(tmp_path / "photos", views[:1])
     line = ["scan", tmp_path / "photos", "-o", tmp_path / "room", *QUICK]
@@ -319,9 +306,7 @@ def test_photos_that_come_after_a_scan_that_found_no_poses_are_taken(tmp_path: P
     assert answer_of(capsys, *line)["num_registered"] == 10
 
 
-def test_photos_without_colmap_say_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_photos_without_colmap_say_what_to_install(tmp_path, monkeypatch, capsys):
     from drsplat.photos.capture import program
 
     write_room(tmp_path / "photos", room_views(3))
@@ -329,7 +314,7 @@ def test_photos_without_colmap_say_what_to_install(
     assert pip_install("capture") in error_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room")
 
 
-def test_a_folder_with_other_things_in_it_is_left_alone(capture_folder: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_folder_with_other_things_in_it_is_left_alone(capture_folder, tmp_path, capsys):
     (tmp_path / "room").mkdir()
     (tmp_path / "room/diary.txt").write_text("mine")
     assert "diary.txt, which drsplat scan did not make" in error_of(
@@ -339,14 +324,14 @@ def test_a_folder_with_other_things_in_it_is_left_alone(capture_folder: Path, tm
     assert os.listdir(tmp_path / "room") == ["diary.txt"]
 
 
-def test_inputs_that_are_none_are_named(tmp_path: Path, capsys: Capture) -> None:
+def test_inputs_that_are_none_are_named(tmp_path, capsys):
     assert "expected a folder of photos or a video" in error_of(capsys, "scan", tmp_path / "none", "-o", tmp_path / "r")
     (tmp_path / "empty").mkdir()
     assert "there is no photo in it" in error_of(capsys, "scan", tmp_path / "empty", "-o", tmp_path / "r")
     assert not (tmp_path / "r").exists()
 
 
-def test_a_damaged_record_is_named(copy: Path, capture_folder: Path, capsys: Capture) -> None:
+def test_a_damaged_record_is_named(copy, capture_folder, capsys):
     for text in (
         "{",
         "[]",
@@ -358,7 +343,7 @@ def test_a_damaged_record_is_named(copy: Path, capture_folder: Path, capsys: Cap
         assert "scan.json" in error_of(capsys, "locate", copy, "something red")
 
 
-def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch):
     monkeypatch.setattr(choosing, "models_library", lambda: None)
     monkeypatch.setattr(choosing, "chosen_device", lambda device: "cpu")
     monkeypatch.setattr(choosing, "_why_not", lambda name: "" if "CLIP" in name else "its weights are elsewhere")
@@ -373,7 +358,7 @@ def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch: py
     assert choosing.choose_models("graph", "auto").segmenter == "graph"
 
 
-def test_on_a_cpu_sam_is_asked_few_points_of_all_photos(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_on_a_cpu_sam_is_asked_few_points_of_all_photos(monkeypatch, tmp_path):
     monkeypatch.setattr(choosing, "choose_models", lambda *_: choosing.ModelChoice(CPU_SEGMENTER, DEFAULT_ENCODER))
     scan = verb_line("scan", ["photos", "--output", str(tmp_path)], []).options
     line, choice, _ = _embedding(scan, "capture", tmp_path, None)
@@ -383,13 +368,13 @@ def test_on_a_cpu_sam_is_asked_few_points_of_all_photos(monkeypatch: pytest.Monk
     assert embed.point_settings(choice).levels == ("large",)  # the one that register uses
 
 
-def test_a_hub_that_cannot_be_reached_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hub_that_cannot_be_reached_is_given_up_soon(monkeypatch):
     monkeypatch.setattr(choosing, "HUB_PATIENCE_S", 0.2)
     assert not choosing._answers("http://127.0.0.1:9/none")
     assert not choosing._answers("no address")
 
 
-def test_the_time_that_is_left_follows_the_pace_of_the_stages_before() -> None:
+def test_the_time_that_is_left_follows_the_pace_of_the_stages_before():
     display = Display({"train": 100.0, "embed": 50.0, "view": 10.0}, quiet=True)
     with display.stage("train"):
         assert display.seconds_left(30.0) == pytest.approx(90.0, abs=1)

@@ -4,7 +4,6 @@ import asyncio
 import dataclasses
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,7 +26,7 @@ def named(*places: Place, of: Sequence[QueryField] = FIELDS) -> set[str]:
     return {field.name for field in fields(*places, of=of)}
 
 
-def test_a_query_has_the_fields_of_the_schema() -> None:
+def test_a_query_has_the_fields_of_the_schema():
     own = {field.name: field.default for field in dataclasses.fields(Query)}
     assert own == {field.name: field.default for field in FIELDS}
     assert len(NAMES) == len(FIELDS)
@@ -36,12 +35,12 @@ def test_a_query_has_the_fields_of_the_schema() -> None:
 
 
 def options_of(verb: str) -> dict[str, Any]:
-    actions = make_parser([verb])._subparsers._group_actions[0].choices[verb]._actions  # type: ignore[union-attr, index]
+    actions = make_parser([verb])._subparsers._group_actions[0].choices[verb]._actions
     return {action.dest: action.help for action in actions}
 
 
 @pytest.mark.parametrize(("verb", "own"), [("select", set()), ("locate", OF_MATCHES)])
-def test_verbs_that_ask_take_no_others(verb: str, own: set[str]) -> None:
+def test_verbs_that_ask_take_no_others(verb, own):
     assert options_of(verb).keys() == named(Place.COMMAND_LINE) | OF_A_SCENE | OF_ALL_VERBS | own
 
 
@@ -56,7 +55,7 @@ def test_verbs_that_ask_take_no_others(verb: str, own: set[str]) -> None:
         ("catalogue", named(Place.COMMAND_LINE, Place.CATALOGUE) - {"text"}),  # which is one of its own arguments
     ],
 )
-def test_other_verbs_take_what_is_of_their_sort(verb: str, offered: set[str]) -> None:
+def test_other_verbs_take_what_is_of_their_sort(verb, offered):
     options = options_of(verb)
     assert options.keys() & NAMES == offered
     assert all(options[field.name].startswith(field.meaning) for field in CUT if field.name in offered)
@@ -68,7 +67,7 @@ def assert_offers(model: Any, offered: Iterable[str], own: Iterable[str] = ()) -
     assert all(described[field.name].startswith(field.meaning) for field in FIELDS if field.name in offered)
 
 
-def test_http() -> None:
+def test_http():
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving import query_fields
 
@@ -83,14 +82,14 @@ def test_http() -> None:
     assert_offers(query_fields.AskCatalogue, named(Place.HTTP, Place.CATALOGUE), own)
 
 
-def test_the_viewer() -> None:
+def test_the_viewer():
     pytest.importorskip("pydantic")
     from drsplat.fronts.viewing.live.acts import Ask
 
     assert Ask.model_fields.keys() == named(Place.VIEWER) | {"act"}
 
 
-def test_a_field_of_one_front_alone_is_noticed() -> None:
+def test_a_field_of_one_front_alone_is_noticed():
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving import query_fields
 
@@ -101,7 +100,7 @@ def test_a_field_of_one_front_alone_is_noticed() -> None:
         assert_offers(Select, named(Place.HTTP), {"ids"})
 
 
-def test_language_models(tmp_path: Path) -> None:
+def test_language_models(tmp_path):
     pytest.importorskip("mcp")
     from drsplat.fronts.serving.limits import Limits
     from drsplat.fronts.serving.metrics import Metrics

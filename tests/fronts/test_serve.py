@@ -22,11 +22,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from command_line import Capture, error_of
-from drsplat import LanguageField, MiniEncoder, load_field
+from command_line import error_of
+from drsplat import LanguageField, load_field
 from drsplat.evaluation.demo import story as household
 from drsplat.field.codes import PQCode
-from drsplat.query import Query, open_scene
+from drsplat.query import open_scene
 from processes import children_of
 
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
@@ -58,6 +58,9 @@ class Service:
 
     def __call__(self, method: str, path: str, **given: Any) -> Any:
         return self.all([(method, path, given)])[0]
+
+    def post(self, act: str, asked: Any = VASE, scene: str = "room") -> Any:
+        return self("POST", f"/scenes/{scene}/{act}", json=asked)
 
     def all(self, calls: list[tuple[str, str, dict[str, Any]]]) -> list[Any]:
         """Several at once."""
@@ -103,7 +106,7 @@ def reason(answer: Any, status: int) -> str:
     return str(body["error"])
 
 
-def test_scenes_are_listed_without_opening_them(service: Service) -> None:
+def test_scenes_are_listed_without_opening_them(service):
     listed = {one["name"]: one for one in told(service("GET", "/scenes"))["scenes"]}
     assert set(listed) == {"damaged", "room", "same room"}
     details = told(service("GET", "/scenes/same%20room"))
@@ -113,53 +116,20 @@ def test_scenes_are_listed_without_opening_them(service: Service) -> None:
     assert told(service("GET", "/health")) == {"status": "ok", "num_scenes": 3}
 
 
-def test_answers_are_those_of_the_library(service: Service, folder: Path) -> None:
-    scene = open_scene(folder / "room")
-    vector = MiniEncoder().encode_texts(["red vase"])[0]
-    asked = scene.ask(Query(text="red vase"))
-    given = {"text": "red vase", "ids": True}
-    answer = told(service("POST", "/scenes/room/select", json=given))
-    assert answer["gaussian_ids"] == asked.gaussian_ids.tolist()
-    assert answer["measured"]["threshold"] == pytest.approx(asked.threshold)
-    by_vector = {"vector": vector.tolist(), "threshold": 0.3, "ids": True}
-    same = told(service("POST", "/scenes/room/select", json=by_vector))
-    assert same["gaussian_ids"] == scene.ask(Query(vector=vector, threshold=0.3)).gaussian_ids.tolist()
-    assert same["gaussian_ids"]
-    located = told(service("POST", "/scenes/room/locate", json={"text": "something to eat", "top": 2}))
-    found = scene.locate("something to eat")
-    assert (located["num_matches"], len(located["matches"])) == (len(found), 2)
-    np.testing.assert_allclose(located["matches"][0]["center"], found[0].center, atol=1e-4)
-    support = located["matches"][0]["support"][0]
-    assert support["view"] == found[0].support[0].view_name
+def test_an_answer_has_ids_and_a_photo(service, folder):
+    """What is asked and answered otherwise is in `test_fronts.py`."""
+    asked = open_scene(folder / "room").ask("red vase")
+    assert told(service.post("select", VASE | {"ids": True}))["gaussian_ids"] == asked.gaussian_ids.tolist()
+    support = told(service.post("locate"))["matches"][0]["support"][0]
     photo = service("GET", "/scenes/room/photo", params={"view": support["view"], "max_side": 200})
     with Image.open(io.BytesIO(photo.content)) as picture:
         assert (picture.format, max(picture.size)) == ("PNG", 200)
 
 
-def test_points_clicks_images_and_classes(service: Service, folder: Path) -> None:
-    scene = open_scene(folder / "room")
-    vase = scene.locate("red vase")[0]
-    point = [float(x) for x in vase.center]
-    words = told(service("POST", "/scenes/room/what-is", json={"point": point}))
+def test_what_is_at_a_point(service, folder):
+    vase = open_scene(folder / "room").locate("red vase")[0]
+    words = told(service.post("what-is", {"point": vase.center.tolist()}))
     assert words["words"][0]["name"] == "red vase"
-    found = told(service("POST", "/scenes/room/locate", json={"point": point}))
-    assert found["measured"]["threshold_rule"] == "object"
-    assert found["matches"][0]["num_gaussians"] == len(scene.objects[vase.object_id])
-    assert np.linalg.norm(np.array(found["matches"][0]["center"]) - vase.center) < 0.1
-    view = scene.best_view(vase.gaussian_ids)
-    seen = view.K @ (view.cam_from_world @ np.append(vase.center, 1))[:3]
-    click = {"view": view.name, "x": seen[0] / seen[2], "y": seen[1] / seen[2]}
-    clicked = told(service("POST", "/scenes/room/select", json={"click": click}))
-    assert clicked["score_range"][1] == pytest.approx(1, abs=1e-3)
-    image = {"image": encoded(Image.new("RGB", (40, 40), "red"))}
-    assert told(service("POST", "/scenes/room/select", json=image))["measured"]["measure"] == "cosine"
-    classes = {"classes": ["red vase", "laptop", "orange sofa"], "labels": True}
-    segmented = told(service("POST", "/scenes/room/segment", json=classes))
-    counts = [one["num_gaussians"] for one in segmented["classes"]]
-    labels = np.array(segmented["labels"])
-    assert counts == [int((labels == number).sum()) for number in range(3)]
-    assert counts[1] == 0
-    assert min(counts[0], counts[2]) > 500
 
 
 def encoded(image: Image.Image) -> str:
@@ -168,9 +138,9 @@ def encoded(image: Image.Image) -> str:
     return base64.b64encode(buffer.getvalue()).decode()
 
 
-def test_pictures(service: Service) -> None:
+def test_pictures(service):
     for given in ({}, {"text": "red vase"}, {"text": "laptop"}, {"photo": True, "view": "frame_00003"}):
-        answer = service("POST", "/scenes/room/picture", json={**given, "max_side": 160})
+        answer = service.post("picture", {**given, "max_side": 160})
         assert answer.headers["content-type"] == "image/png"
         with Image.open(io.BytesIO(answer.content)) as picture:
             colour = np.ptp(np.asarray(picture.convert("RGB"), int), axis=-1).max()
@@ -185,7 +155,7 @@ TRICKS = (
 
 
 @pytest.mark.parametrize("name", TRICKS)
-def test_names_never_become_paths(name: str, service: Service) -> None:
+def test_names_never_become_paths(name, service):
     for method, path, given in (
         ("GET", f"/scenes/{name}", {}),
         ("POST", f"/scenes/{name}/select", {"json": {"text": "mug"}}),
@@ -197,7 +167,7 @@ def test_names_never_become_paths(name: str, service: Service) -> None:
         assert "root:" not in answer.text
 
 
-def test_the_scene_folder_looks_names_up(folder: Path) -> None:
+def test_the_scene_folder_looks_names_up(folder):
     scene_folder = SceneFolder(folder)
     for name in ("../" + folder.name, str(folder / "room"), "room/../room", "", ".", "no scene"):
         with pytest.raises(UnknownSceneError, match="'room'"):
@@ -209,7 +179,7 @@ def test_the_scene_folder_looks_names_up(folder: Path) -> None:
     assert few.scene("room") is not first
 
 
-def test_photos_are_those_of_the_scene(service: Service) -> None:
+def test_photos_are_those_of_the_scene(service):
     for view in ("../../truth.json", "/etc/passwd", "frame_00001.jpg/../frame_00002.jpg", "\0"):
         answer = service("GET", "/scenes/room/photo", params={"view": view})
         assert "no view" in reason(answer, 422)
@@ -254,8 +224,8 @@ WRONG: list[tuple[str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("route", "given", "said"), WRONG)
-def test_what_makes_no_sense_gets_a_reason(route: str, given: Any, said: str, service: Service, folder: Path) -> None:
-    text = reason(service("POST", f"/scenes/room/{route}", json=given), 422)
+def test_what_makes_no_sense_gets_a_reason(route, given, said, service, folder):
+    text = reason(service.post(route, given), 422)
     assert said.lower() in text.lower()
     assert str(folder) not in text
 
@@ -264,7 +234,7 @@ def test_what_makes_no_sense_gets_a_reason(route: str, given: Any, said: str, se
     "body",
     [b"", b"{", b"\xff\xfe", b'{"text": "\\ud800"}', b'{"point": [NaN, 0, 0]}', b"[" * 20_000, b'{"text": 1e999}'],
 )
-def test_malformed_bodies(body: bytes, service: Service) -> None:
+def test_malformed_bodies(body, service):
     json_type = {"content-type": "application/json"}
     answer = service("POST", "/scenes/room/select", content=body, headers=json_type)
     assert 400 <= answer.status_code < 500, answer.text
@@ -280,14 +250,14 @@ def test_malformed_bodies(body: bytes, service: Service) -> None:
         ('{"text": "lamp"}'.encode("utf-16"), "in UTF-8"),
     ],
 )
-def test_a_body_of_which_a_reader_would_have_to_guess_is_refused(body: bytes, said: str, service: Service) -> None:
+def test_a_body_of_which_a_reader_would_have_to_guess_is_refused(body, said, service):
     """The last of two was taken, in silence."""
     answer = service("POST", "/scenes/room/select", content=body, headers={"content-type": "application/json"})
     assert said in reason(answer, 422)
 
 
 @pytest.mark.parametrize("kind", [None, "text/plain", "application/x-www-form-urlencoded", "multipart/form-data; x"])
-def test_a_body_that_is_not_said_to_be_json_is_told_how(kind: str | None, service: Service) -> None:
+def test_a_body_that_is_not_said_to_be_json_is_told_how(kind, service):
     headers = {} if kind is None else {"content-type": kind}
     answer = service("POST", "/scenes/room/select", content=b'{"text": "red vase"}', headers=headers)
     assert "Content-Type: application/json" in reason(answer, 415)
@@ -295,32 +265,32 @@ def test_a_body_that_is_not_said_to_be_json_is_told_how(kind: str | None, servic
     told(service("POST", "/scenes/room/select", content=b'{"text": "red vase"}', headers=charset))
 
 
-def test_a_damaged_scene_says_so_and_others_still_answer(service: Service, folder: Path) -> None:
-    text = reason(service("POST", "/scenes/damaged/select", json={"text": "mug"}), 503)
+def test_a_damaged_scene_says_so_and_others_still_answer(service, folder):
+    text = reason(service.post("select", scene="damaged"), 503)
     assert "cannot be opened" in text
     assert str(folder) not in text
-    assert service("POST", "/scenes/room/select", json={"text": "vase"}).status_code == 200
+    assert service.post("select", {"text": "vase"}).status_code == 200
 
 
-def test_a_text_without_a_match_is_told_how_near_it_came(service: Service) -> None:
-    advice = service("POST", "/scenes/room/locate", json={"text": "laptop"}).json()["advice"]
+def test_a_text_without_a_match_is_told_how_near_it_came(service):
+    advice = service.post("locate", {"text": "laptop"}).json()["advice"]
     assert advice.startswith("no match: The best place has a ")
     assert "Words that match here: " in advice
-    assert service("POST", "/scenes/room/locate", json={"text": "mug"}).json().get("advice", "") == ""
+    assert service.post("locate", {"text": "mug"}).json().get("advice", "") == ""
 
 
-def test_unknown_routes_and_methods(service: Service) -> None:
+def test_unknown_routes_and_methods(service):
     assert "nothing at '/nothing': GET /openapi.json" in reason(service("GET", "/nothing"), 404)
     reason(service("DELETE", "/scenes"), 405)
     assert reason(service("GET", "/scenes/room/select"), 405) == "expected POST here, got GET"
-    unknown = reason(service("POST", "/scenes/room/select", json={"text": "mug", "txt": "mug"}), 422)
+    unknown = reason(service.post("select", {"text": "mug", "txt": "mug"}), 422)
     assert unknown == "body: there is no such field: txt. Did you mean 'text'?"
 
 
-def test_bodies_and_pictures_are_bounded(folder: Path) -> None:
+def test_bodies_and_pictures_are_bounded(folder):
     small = Service(folder, limits=Limits(body_bytes=2000, pixels=1000))
     long = {"text": "mug", "exclude": ["red"] * 1000}
-    assert "2,000 bytes" in reason(small("POST", "/scenes/room/select", json=long), 413)
+    assert "2,000 bytes" in reason(small.post("select", long), 413)
 
     async def chunks() -> Any:
         for _ in range(10):
@@ -329,10 +299,10 @@ def test_bodies_and_pictures_are_bounded(folder: Path) -> None:
     told_nothing = small("POST", "/scenes/room/select", content=chunks())
     assert "2,000 bytes" in reason(told_nothing, 413)
     large = {"image": encoded(Image.new("1", (40, 40)))}
-    assert "at most 1,000" in reason(small("POST", "/scenes/room/select", json=large), 422)
+    assert "at most 1,000" in reason(small.post("select", large), 422)
 
 
-def test_who_has_no_key_is_told(folder: Path) -> None:
+def test_who_has_no_key_is_told(folder):
     closed = Service(folder, key=KEY)
     assert "Bearer" in reason(closed("GET", "/scenes"), 401)
     for header in (
@@ -347,7 +317,7 @@ def test_who_has_no_key_is_told(folder: Path) -> None:
     told(closed("GET", "/health"))
 
 
-def test_only_by_its_own_names(folder: Path) -> None:
+def test_only_by_its_own_names(folder):
     local = Service(folder, hosts=("127.0.0.1", "[::1]"))
     for host in ("evil.example", "127.0.0.1.evil.example", "", "[::1].evil"):
         reason(local("GET", "/health", headers={"host": host}), 400)
@@ -362,11 +332,11 @@ def processes_of(service: Service) -> list[int]:
 
 
 @pytest.mark.slow
-def test_too_slow_and_too_many(folder: Path) -> None:
+def test_too_slow_and_too_many(folder):
     """A stopped process is one that never has done: it is ended, and its place is free for others."""
     busy = Service(folder, limits=Limits(seconds=3.0, workers=1, waiting=2))
     with closing(busy):
-        wait_for(lambda: busy("POST", "/scenes/room/select", json=VASE).status_code == 200)
+        wait_for(lambda: busy.post("select").status_code == 200)
         (stuck,) = processes_of(busy)
         os.kill(stuck, signal.SIGSTOP)
         calls = [("POST", "/scenes/room/select", {"json": VASE})] * 8
@@ -377,7 +347,7 @@ def test_too_slow_and_too_many(folder: Path) -> None:
         assert kinds.count("timeout") == 3
         assert all(answer.headers["retry-after"] == "1" for answer in refused[:8])
         wait_for(lambda: not Path(f"/proc/{stuck}").exists())
-        wait_for(lambda: busy("POST", "/scenes/room/select", json=VASE).status_code == 200)
+        wait_for(lambda: busy.post("select").status_code == 200)
 
 
 def copied(scene: Path, to: Path) -> Path:
@@ -398,7 +368,7 @@ def renamed(scene: Path) -> LanguageField:
 
 
 @pytest.mark.slow
-def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folder, tmp_path):
     scene = copied(folder / "room", tmp_path / "one")
     (tmp_path / "other").symlink_to(folder / "room")
     asked = {"vector": [1.0] * 512, "threshold": 0.5}
@@ -426,9 +396,7 @@ def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folde
 
 
 @pytest.mark.slow
-def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(folder, tmp_path, monkeypatch):
     """Large files are mapped; nothing can keep a process that reads on from being ended (SIGBUS)."""
     started = workbench._process
 
@@ -442,23 +410,21 @@ def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(
     (tmp_path / "room").symlink_to(folder / "room")
     with closing(Service(tmp_path, limits=Limits(workers=1))) as service:
         monkeypatch.setattr(workbench, "_process", dying)
-        assert "SIGBUS" in reason(service("POST", "/scenes/room/select", json=VASE), 503)
+        assert "SIGBUS" in reason(service.post("select"), 503)
         monkeypatch.setattr(workbench, "_process", started)
-        told(service("POST", "/scenes/room/select", json=VASE))
+        told(service.post("select"))
 
 
-def test_a_killed_process_that_was_idle_costs_nothing(service: Service) -> None:
-    told(service("POST", "/scenes/room/select", json=VASE))
+def test_a_killed_process_that_was_idle_costs_nothing(service):
+    told(service.post("select"))
     for process in processes_of(service):
         os.kill(process, signal.SIGKILL)
-    told(service("POST", "/scenes/room/select", json=VASE))
+    told(service.post("select"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["1 / 0", "(_ for _ in ()).throw(type('PanicException', (BaseException,), {})())"])
-def test_no_exception_of_a_request_ends_a_process(
-    fault: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_no_exception_of_a_request_ends_a_process(fault, folder, monkeypatch, capfd):
     broken = f"import sys; from drsplat.fronts.serving import worker; worker.answered = lambda *_: {fault}; "
     monkeypatch.setattr(
         workbench, "WORKER_COMMAND", [sys.executable, "-c", broken + "worker.main(int(sys.argv[1]), int(sys.argv[2]))"]
@@ -467,7 +433,7 @@ def test_no_exception_of_a_request_ends_a_process(
         told(service("GET", "/scenes"))
         (process,) = children_of(os.getpid(), b"worker.answered")
         for _ in range(2):
-            assert "fault of the service" in reason(service("POST", "/scenes/room/select", json=VASE), 500)
+            assert "fault of the service" in reason(service.post("select"), 500)
         assert children_of(os.getpid(), b"worker.answered") == [process]
     logged = capfd.readouterr().err
     assert "Traceback" in logged
@@ -475,7 +441,7 @@ def test_no_exception_of_a_request_ends_a_process(
 
 
 @pytest.mark.slow
-def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path) -> None:
+def test_odd_names_and_pipes_do_not_break_the_list(folder, tmp_path):
     copied(folder / "room", tmp_path / "good")
     os.mkfifo(copied(folder / "room", tmp_path / "pipe") / "room.field" / "pipe")
     manifest = tmp_path / "pipe" / "room.field" / "field.json"
@@ -491,21 +457,19 @@ def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path)
         assert set(listed) == {"good", "pipe", "b\\xffd\x1b[2J", "half", "huge"}
         assert "pipe" in listed["pipe"]["fault"]
         assert listed["huge"]["num_registered"] == 0
-        assert "cannot be opened" in reason(service("POST", "/scenes/pipe/select", json=VASE), 503)
-        assert "can be written" in reason(service("POST", "/scenes/half/select", json=VASE), 503)
+        assert "cannot be opened" in reason(service.post("select", scene="pipe"), 503)
+        assert "can be written" in reason(service.post("select", scene="half"), 503)
         told(service("POST", "/scenes/b%5Cxffd%1B%5B2J/select", json=VASE))
-        told(service("POST", "/scenes/good/select", json=VASE))
+        told(service.post("select", scene="good"))
 
 
 @pytest.mark.slow
-def test_refusals_tell_no_paths_and_are_not_corrupted(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refusals_tell_no_paths_and_are_not_corrupted(folder, tmp_path, monkeypatch):
     secret = tmp_path / "secret" / "words.json"
     secret.parent.mkdir()
     secret.write_text("{")
     with closing(Service(folder, sources=Sources(vocabulary=str(secret)))) as service:
-        text = reason(service("POST", "/scenes/room/select", json=VASE), 422)
+        text = reason(service.post("select"), 422)
         assert "secret" not in text
         assert "words.json: expected JSON" in text
     for root, name in ((folder / "room", "."), (folder, ".")):
@@ -514,23 +478,23 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(
         scene = "room" if root == folder else scene
         with closing(Service(Path(name))) as service:
             click = {"click": {"view": "no.view", "x": 1, "y": 1}}
-            text = reason(service("POST", f"/scenes/{scene}/select", json=click), 422)
+            text = reason(service.post("select", click, scene), 422)
             assert "'no.view'" in text
             assert "'frame_00001.jpg'" in text
 
 
 @pytest.mark.slow
-def test_a_model_that_is_not_there_is_refused_without_its_path(folder: Path, tmp_path: Path) -> None:
+def test_a_model_that_is_not_there_is_refused_without_its_path(folder, tmp_path):
     for library in ("torch", "transformers"):  # without them the answer is another: 503, with what to install
         pytest.importorskip(library)
     away = str(tmp_path / "secret" / "model")
     with closing(Service(folder, sources=Sources(encoder=away))) as service:
-        text = reason(service("POST", "/scenes/room/select", json=VASE), 422)
+        text = reason(service.post("select"), 422)
         assert "secret" not in text
         assert "model: " in text
 
 
-def test_heads_pages_and_origins(service: Service, folder: Path) -> None:
+def test_heads_pages_and_origins(service, folder):
     head = service("HEAD", "/scenes/room")
     assert (head.status_code, head.content) == (200, b"")
     assert head.headers["content-length"] == service("GET", "/scenes/room").headers["content-length"]
@@ -555,15 +519,15 @@ def test_heads_pages_and_origins(service: Service, folder: Path) -> None:
         assert "Bearer" in reason(allowed("GET", "/scenes", headers=asking), 401)
 
 
-def test_few_large_bodies_at_once(folder: Path) -> None:
+def test_few_large_bodies_at_once(folder):
     limits = Limits(large_bodies=0, body_bytes=1 << 20)
     with closing(Service(folder, limits=limits)) as busy:
         large = {"vector": [0.123456789] * 8000}
-        assert "come again" in reason(busy("POST", "/scenes/room/select", json=large), 503)
-        told(busy("POST", "/scenes/room/select", json=VASE))
+        assert "come again" in reason(busy.post("select", large), 503)
+        told(busy.post("select"))
 
 
-def test_what_cannot_be_served_is_said_at_the_start(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_what_cannot_be_served_is_said_at_the_start(folder, tmp_path, capsys):
     assert "no scene is here" in error_of(capsys, "serve", tmp_path)
     words = tmp_path / "words.json"
     words.write_text("{")
@@ -572,7 +536,7 @@ def test_what_cannot_be_served_is_said_at_the_start(folder: Path, tmp_path: Path
     assert "drop one" in error_of(capsys, "serve", folder, *both)
 
 
-def test_a_port_that_is_taken_is_told_before_an_address_is(folder: Path, capsys: Capture) -> None:
+def test_a_port_that_is_taken_is_told_before_an_address_is(folder, capsys):
     with bound_socket("127.0.0.1", 0) as other:
         port = other.getsockname()[1]
         text = error_of(capsys, "serve", folder, "--port", port)
@@ -582,10 +546,10 @@ def test_a_port_that_is_taken_is_told_before_an_address_is(folder: Path, capsys:
 
 
 @pytest.mark.slow
-def test_metrics_count(folder: Path) -> None:
+def test_metrics_count(folder):
     counted = Service(folder)
-    told(counted("POST", "/scenes/room/select", json={"text": "vase"}))
-    reason(counted("POST", "/scenes/room/select", json={}), 422)
+    told(counted.post("select", {"text": "vase"}))
+    reason(counted.post("select", {}), 422)
     reason(counted("GET", "/unheard-of"), 404)
     lines = counted("GET", "/metrics").text.splitlines()
     route = 'route="/scenes/{scene}/select"'
@@ -596,7 +560,7 @@ def test_metrics_count(folder: Path) -> None:
     assert "drsplat_waiting 0.0" in lines
 
 
-def test_the_description_has_examples_and_refusals(service: Service) -> None:
+def test_the_description_has_examples_and_refusals(service):
     described = told(service("GET", "/openapi.json"))
     for path, methods in described["paths"].items():
         for method in methods.values():
@@ -604,7 +568,7 @@ def test_the_description_has_examples_and_refusals(service: Service) -> None:
             assert "422" in method["responses"], path
     examples = described["components"]["schemas"]["Locate"]["examples"]
     for given in examples:
-        assert told(service("POST", "/scenes/room/locate", json=given))["num_matches"] >= 1
+        assert told(service.post("locate", given))["num_matches"] >= 1
 
 
 @contextmanager
@@ -615,7 +579,7 @@ def running(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[byte
     command = [sys.executable, "-m", "drsplat", "serve", str(folder), "--port", str(port), "--threads", "1"]
     environment = {**os.environ, "PYTHONPATH": ""}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    server = subprocess.Popen([*command, *options], env=environment, **quiet)  # type: ignore[call-overload]
+    server = subprocess.Popen([*command, *options], env=environment, **quiet)
     try:
         wait_for(lambda: asked(port, "GET", "/health")[0] == 200)
         yield server, port
@@ -646,7 +610,7 @@ def wait_for(true: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_worker_loses_no_field_and_a_stopped_service_ends_well(folder: Path) -> None:
+def test_a_killed_worker_loses_no_field_and_a_stopped_service_ends_well(folder):
     body = {"text": "red vase", "ids": True}
     with running(folder, "--workers", "2") as (server, port):
         before = asked(port, "POST", "/scenes/room/select", body)
@@ -664,7 +628,7 @@ def test_a_killed_worker_loses_no_field_and_a_stopped_service_ends_well(folder: 
         assert server.wait(60) in (0, -signal.SIGTERM)
 
 
-def test_other_machines_are_let_in_only_on_purpose(tmp_path: Path, capsys: Capture) -> None:
+def test_other_machines_are_let_in_only_on_purpose(tmp_path, capsys):
     assert "--api-key-file" in error_of(capsys, "serve", tmp_path, "--host", "0.0.0.0")
     (tmp_path / "key").write_text("short\n")
     argv = ["serve", tmp_path, "--host", "0.0.0.0", "--api-key-file"]

@@ -17,7 +17,7 @@ pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
 from schemathesis import GenerationMode, checks
-from schemathesis.openapi import from_asgi  # type: ignore[attr-defined]
+from schemathesis.openapi import from_asgi
 
 from catalogued import write_scene
 from drsplat.fronts.serving.app import Settings, create_app
@@ -90,14 +90,14 @@ CHECKS = [
 ]  # fmt: skip
 
 
-def test_no_route_is_left_out(schema: Any) -> None:
+def test_no_route_is_left_out(schema):
     described = {(one.ok().method.upper(), one.ok().path) for one in schema.get_all_operations()}
     assert described == {*ROUTES, *PLAIN}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("method", "path"), [route for route in (*PLAIN, *ROUTES) if route not in UNANSWERED], ids=str)
-def test_answers_are_as_described(schema: Any, method: str, path: str) -> None:
+def test_answers_are_as_described(schema, method, path):
     names = {"scene": "room", "number": 0} if "{number}" in path else {"scene": "room"} if "{scene}" in path else {}
     case = schema[path][method].Case(path_parameters=names, **SOUND.get(path, {}))
     assert case.call_and_validate(checks=CHECKS, timeout=PATIENCE_S).status_code == 200
@@ -112,7 +112,7 @@ def test_answers_are_as_described(schema: Any, method: str, path: str) -> None:
     ],
     ids=str,
 )
-def test_what_is_answered_is_what_is_described(schema: Any, method: str, path: str, mode: GenerationMode) -> None:
+def test_what_is_answered_is_what_is_described(schema, method, path, mode):
     operation = schema[path][method]
 
     @seed(SEED)

@@ -2,26 +2,26 @@
 
 import io
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from drsplat import read_gaussians, write_gaussians
-from drsplat.authoring.editing import Isolate, Recolour, Remove
+from drsplat.authoring.editing import Recolour, Remove
 from drsplat.authoring.filming import looking
 from drsplat.drawing.heat import heat_of
-from drsplat.errors import InputError
-from drsplat.fronts.serving.pictures import png
-from drsplat.fronts.viewing import client, naming, painting, results, saving, shown
+from drsplat.fronts.viewing import client, naming, painting, saving, shown
 from drsplat.fronts.viewing.bare import is_bare, open_bare
 from drsplat.fronts.viewing.naming import photo_of
 from drsplat.fronts.viewing.session import MAX_QUERIES, Mode, Session
 from drsplat.query import Scene
 from drsplat.query.suggesting import suggestions
+from refusing import refused
 from scenes import look_at_view, random_gaussians
 from viewing_scenes import CENTERS, EACH, THINGS, boxes_scene
 
@@ -40,14 +40,7 @@ def rows(thing: int) -> np.ndarray:
 # --- what is shown ---
 
 
-def test_within_the_budget_everything_is_shown_and_nothing_is_said() -> None:
-    scene = random_gaussians(200)
-    all_of_it = shown.shown_of(scene, 200)
-    np.testing.assert_array_equal(all_of_it.ids, np.arange(200))
-    assert all_of_it.summary == ""
-
-
-def test_above_the_budget_the_most_significant_are_shown_and_it_is_said() -> None:
+def test_above_the_budget_the_most_significant_are_shown_and_it_is_said():
     scene = random_gaussians(500)
     part = shown.shown_of(scene, 100)
     weight = scene.opacities * scene.scales.astype(np.float64).prod(1) ** 0.1
@@ -58,33 +51,33 @@ def test_above_the_budget_the_most_significant_are_shown_and_it_is_said() -> Non
     assert "500" in part.summary
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-4, 4), st.integers(0, 5))
-def test_any_size_of_scene_keeps_its_covariances_in_float16(power: float, seed: int) -> None:
+def test_any_size_of_scene_keeps_its_covariances_in_float16(power, seed):
     scene = random_gaussians(300, seed, size=0.02)
     factor = np.float32(10.0**power)
     grown = replace(scene, means=scene.means * factor, scales=scene.scales * factor)
     one, other = shown.shown_of(scene, 300), shown.shown_of(grown, 300)
-    np.testing.assert_allclose(one.centers, other.centers, rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(one.covariances, other.covariances, rtol=1e-3, atol=1e-6)
+    assert_allclose(one.centers, other.centers, rtol=1e-3, atol=1e-3)
+    assert_allclose(one.covariances, other.covariances, rtol=1e-3, atol=1e-6)
     variances = one.covariances[:, [0, 3, 5]]
     halves = variances.astype(np.float16).astype(np.float32)
     assert np.abs(halves / variances - 1).max() < 0.05
 
 
-def test_a_frame_there_and_back_is_the_same_place() -> None:
+def test_a_frame_there_and_back_is_the_same_place():
     frame = shown.frame_of(random_gaussians(100))
-    points = np.random.default_rng(0).normal(size=(9, 3))
-    np.testing.assert_allclose(frame.world(frame.shown(points)), points, atol=1e-12)
+    points = default_rng(0).normal(size=(9, 3))
+    assert_allclose(frame.world(frame.shown(points)), points, atol=1e-12)
 
 
 @pytest.mark.parametrize(("count", "budget"), [(0, 5), (5, 0)])
-def test_nothing_to_show_is_said(count: int, budget: int) -> None:
-    with pytest.raises(InputError, match="nothing to show"):
+def test_nothing_to_show_is_said(count, budget):
+    with refused("nothing to show"):
         shown.shown_of(random_gaussians(5).subset(np.arange(count)), budget)
 
 
-def test_what_is_too_far_for_float32_stays_finite() -> None:
+def test_what_is_too_far_for_float32_stays_finite():
     scene = random_gaussians(200)
     means = scene.means.copy()
     means[7] = [3e38, -3e38, 0]
@@ -96,26 +89,25 @@ def test_what_is_too_far_for_float32_stays_finite() -> None:
 # --- colours ---
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.tuples(*[st.floats(0, 1, width=32)] * 3))
-def test_what_was_found_keeps_its_colour(color: tuple[float, float, float]) -> None:
+def test_what_was_found_keeps_its_colour(color):
     rgb = np.array([color], np.float32)
-    np.testing.assert_array_equal(painting.highlighted(rgb, np.zeros(1, np.int32), [painting.accent(0)]), rgb)
+    assert_array_equal(painting.highlighted(rgb, np.zeros(1, np.int32), [painting.accent(0)]), rgb)
 
 
-def test_blue_stays_blue_and_stands_out_of_the_rest() -> None:
+def test_blue_stays_blue_and_stands_out_of_the_rest():
     blue = np.array([[0.1, 0.25, 0.7]] * 2, np.float32)
     found, rest = painting.highlighted(blue, np.array([0, -1], np.int32), [painting.accent(0)])
-    np.testing.assert_array_equal(found, blue[0])
+    assert_array_equal(found, blue[0])
     assert np.ptp(rest) < 0.2 * np.ptp(found)
     assert rest.max() < 0.5 * found.max()
 
 
-def test_nothing_goes_black_and_where_nothing_fits_all_stays_as_it_is() -> None:
-    rgb = np.random.default_rng(2).random((50, 3)).astype(np.float32)
+def test_nothing_goes_black_and_where_nothing_fits_all_stays_as_it_is():
+    rgb = default_rng(2).random((50, 3)).astype(np.float32)
     assert painting.dimmed(np.zeros((1, 3), np.float32)).min() >= 0.08
     nobody = np.full(50, -1, np.int32)
-    np.testing.assert_array_equal(painting.highlighted(rgb, nobody, [painting.accent(0)]), rgb)
+    assert_array_equal(painting.highlighted(rgb, nobody, [painting.accent(0)]), rgb)
 
 
 # --- picking ---
@@ -125,30 +117,27 @@ def ray(origin: tuple[float, float, float], direction: tuple[float, float, float
     return naming.ray_along(np.array(origin, np.float64), np.array(direction, np.float64))
 
 
-def test_a_ray_meets_what_is_in_front() -> None:
+def test_a_ray_meets_what_is_in_front():
     scene = boxes_scene().gaussians
     hit = naming.hit_by_ray(scene, ray((-3.0, 0, 0), (1.0, 0, 0)))
-    assert hit is not None
     assert hit.gaussian_ids[0] in rows(0)
     assert (np.diff(hit.weights) <= 0).all()
     assert 0 < hit.weights.sum() <= 1
     back = naming.hit_by_ray(scene, ray((3.0, 0, 0.3), (-1.0, 0, 0)))
-    assert back is not None
     assert back.gaussian_ids[0] in rows(2)
 
 
-def test_a_ray_passes_what_is_hidden_and_what_lies_behind_it() -> None:
+def test_a_ray_passes_what_is_hidden_and_what_lies_behind_it():
     scene = boxes_scene().gaussians
     visible = np.ones(len(scene), bool)
     visible[rows(0)] = False
     hit = naming.hit_by_ray(scene, ray((-3.0, 0, 0), (1.0, 0, 0)), visible)
-    assert hit is not None
     assert hit.gaussian_ids[0] in rows(1)
     away = naming.hit_by_ray(scene, ray((-9.0, 0, 0), (-1.0, 0, 0)))
     assert away is None
 
 
-def test_a_ray_weighs_as_the_renderer_does_far_away() -> None:
+def test_a_ray_weighs_as_the_renderer_does_far_away():
     """From afar a pixel is a ray: the same Gaussian dominates, for needles and discs too."""
     from drsplat.kernels import splat_arrays, topk_contributions
 
@@ -169,47 +158,47 @@ def test_a_ray_weighs_as_the_renderer_does_far_away() -> None:
 # --- cameras ---
 
 
-def test_a_camera_looks_at_its_target_with_up_upwards() -> None:
+def test_a_camera_looks_at_its_target_with_up_upwards():
     eye, target = np.array([3.0, -2.0, 1.5]), np.array([0.2, 0.1, 0.3])
     view = looking.looking_at(eye, target, UP, (320, 240), 50.0)
     pixel = view.K @ (view.cam_from_world[:3, :3] @ target + view.cam_from_world[:3, 3])
-    np.testing.assert_allclose(pixel[:2] / pixel[2], (160, 120))
-    np.testing.assert_allclose(view.center, eye)
+    assert_allclose(pixel[:2] / pixel[2], (160, 120))
+    assert_allclose(view.center, eye)
     assert (view.cam_from_world[:3, :3] @ UP)[1] < 0  # +y is down
 
 
-def test_a_camera_can_look_straight_down_but_not_at_itself() -> None:
+def test_a_camera_can_look_straight_down_but_not_at_itself():
     view = looking.looking_at(np.array([0, 0, 5.0]), np.zeros(3), UP, (32, 32))
-    np.testing.assert_allclose(view.cam_from_world[2, :3], (0, 0, -1), atol=1e-9)
-    with pytest.raises(InputError, match="where it stands"):
+    assert_allclose(view.cam_from_world[2, :3], (0, 0, -1), atol=1e-9)
+    with refused("where it stands"):
         looking.looking_at(np.ones(3), np.ones(3), UP, (32, 32))
 
 
-def test_up_is_what_the_photos_call_up() -> None:
+def test_up_is_what_the_photos_call_up():
     views = [look_at_view((np.cos(a), np.sin(a), 0.5)) for a in np.linspace(0, 6, 9)]
     field = boxes_scene().field
-    np.testing.assert_allclose(looking.up_direction(Scene(field, views=views)), UP, atol=1e-12)
-    np.testing.assert_array_equal(looking.up_direction(Scene(field)), (0, -1, 0))
+    assert_allclose(looking.up_direction(Scene(field, views=views)), UP, atol=1e-12)
+    assert_array_equal(looking.up_direction(Scene(field)), (0, -1, 0))
     leaning = np.array([0.1, 0.0, np.sqrt(0.99)])  # as the field has it, so its boxes stand: not along the nearest axis
-    np.testing.assert_array_equal(looking.up_direction(Scene(replace(field, up=leaning), views=views)), leaning)
-    np.testing.assert_array_equal(looking.named_up("-y"), (0, -1, 0))
-    np.testing.assert_array_equal(looking.named_up("z"), (0, 0, 1))
-    with pytest.raises(InputError, match="expected one of"):
+    assert_array_equal(looking.up_direction(Scene(replace(field, up=leaning), views=views)), leaning)
+    assert_array_equal(looking.named_up("-y"), (0, -1, 0))
+    assert_array_equal(looking.named_up("z"), (0, 0, 1))
+    with refused("expected one of"):
         looking.named_up("w")
 
 
-def test_a_flight_is_a_loop_at_one_height_and_distance() -> None:
+def test_a_flight_is_a_loop_at_one_height_and_distance():
     eye, target = np.array([2.0, 0, 1]), np.array([0.0, 0, 0.5])
     places = np.array(looking.swing(eye, target, UP, 24))
-    np.testing.assert_allclose(places[0], eye)
-    np.testing.assert_allclose(np.linalg.norm(places - target, axis=1), np.linalg.norm(eye - target))
-    np.testing.assert_allclose(places[:, 2], 1)
+    assert_allclose(places[0], eye)
+    assert_allclose(np.linalg.norm(places - target, axis=1), np.linalg.norm(eye - target))
+    assert_allclose(places[:, 2], 1)
     assert np.abs(np.diff(np.vstack([places, places[:1]]), axis=0)).max() < 0.4
-    with pytest.raises(InputError, match="two frames"):
+    with refused("two frames"):
         looking.swing(eye, target, UP, 1)
 
 
-def test_the_place_before_a_thing_sees_all_of_it(session: Session) -> None:
+def test_the_place_before_a_thing_sees_all_of_it(session):
     session.ask("tall lamp")
     thing, scene = session.results[0].matches[0], session.scene
     eye = looking.before(thing, scene.gaussians, scene.views, UP)
@@ -224,36 +213,28 @@ def test_the_place_before_a_thing_sees_all_of_it(session: Session) -> None:
 # --- painting ---
 
 
-def test_heat_is_a_half_at_the_threshold_and_rises_with_the_value() -> None:
+def test_heat_is_a_half_at_the_threshold_and_rises_with_the_value():
     values = np.linspace(-0.2, 0.6, 101).astype(np.float32)
     heat = heat_of(values, 0.4)
     assert (np.diff(heat) >= 0).all()
     assert heat[0] == 0
     assert heat[-1] == 1
-    np.testing.assert_allclose(heat[np.abs(values - 0.4).argmin()], 0.5, atol=0.01)
+    assert_allclose(heat[np.abs(values - 0.4).argmin()], 0.5, atol=0.01)
 
 
-def test_where_nothing_is_found_nothing_is_hot() -> None:
+def test_where_nothing_is_found_nothing_is_hot():
     assert heat_of(np.linspace(0, 0.3, 50).astype(np.float32), 0.5).max() < 0.5
     assert np.isfinite(heat_of(np.zeros(4, np.float32), 0.0)).all()
 
 
-def test_what_is_not_meant_has_half_its_light_and_little_colour() -> None:
-    rgb = np.random.default_rng(1).random((100, 3)).astype(np.float32)
+def test_what_is_not_meant_has_half_its_light_and_little_colour():
+    rgb = default_rng(1).random((100, 3)).astype(np.float32)
     dimmed = painting.dimmed(rgb)
-    np.testing.assert_allclose(dimmed @ painting.LUMA, 0.08 + 0.52 * (rgb @ painting.LUMA), atol=1e-5)
-    np.testing.assert_allclose(np.ptp(dimmed, axis=1), 0.52 * 0.28 * np.ptp(rgb, axis=1), atol=1e-5)
+    assert_allclose(dimmed @ painting.LUMA, 0.08 + 0.52 * (rgb @ painting.LUMA), atol=1e-5)
+    assert_allclose(np.ptp(dimmed, axis=1), 0.52 * 0.28 * np.ptp(rgb, axis=1), atol=1e-5)
 
 
-def test_two_queries_have_two_colours() -> None:
-    rgb = np.full((2, 3), 0.5, np.float32)
-    accents = [(255, 0, 0), (0, 0, 255)]
-    painted = painting.highlighted(rgb, np.array([0, 1], np.int32), accents)
-    assert painted[0].argmax() == 0
-    assert painted[1].argmax() == 2
-
-
-def test_features_of_one_thing_have_one_colour_and_others_another(session: Session) -> None:
+def test_features_of_one_thing_have_one_colour_and_others_another(session):
     session.mode = Mode.FEATURES
     colors = session.colors
     means = np.array([colors[rows(thing)].mean(0) for thing in range(3)])
@@ -265,99 +246,27 @@ def test_features_of_one_thing_have_one_colour_and_others_another(session: Sessi
 # --- asking ---
 
 
-def test_an_answer_is_shown_and_said(session: Session) -> None:
-    said = session.ask("tall lamp")
-    np.testing.assert_array_equal(session.selection, rows(2))
-    assert session.mode is Mode.ANSWER
-    assert said == f"tall lamp: 1 match, {EACH} Gaussians"
-
-
-def test_several_queries_and_a_negative_one(session: Session) -> None:
-    session.ask("tall lamp; mug, not red")
-    lamp, mug = session.results
-    np.testing.assert_array_equal(lamp.gaussian_ids, rows(2))
-    np.testing.assert_array_equal(mug.gaussian_ids, rows(1))
-    owners = results.owners(session.results, len(session.scene.gaussians))
-    assert set(owners[rows(2)]) == {0}
-    assert set(owners[rows(1)]) == {1}
-    assert set(owners[rows(0)]) == {-1}
-
-
-def test_nothing_found_is_said(session: Session) -> None:
-    said = "The best place has a cosine of 0.02, below the threshold of 0.60."
-    assert session.ask("elephant") == f"No match for 'elephant'. {said}"
-    assert not len(session.selection)
-
-
-def test_the_threshold_moves_the_selection_and_its_own_stays_marked(session: Session) -> None:
-    session.ask("mug")
-    marked = session.results[0].answer.threshold
-    np.testing.assert_array_equal(session.selection, np.concatenate([rows(0), rows(1)]))
-    low, high = session.results[0].limits
-    session.set_threshold(0, high)
-    assert not len(session.selection)
-    session.set_threshold(0, (low + marked) / 2)
-    assert len(session.selection) >= 2 * EACH
-    assert session.results[0].answer.threshold == marked
-    with pytest.raises(InputError, match="no query 1"):
-        session.set_threshold(1, 0.5)
-
-
 @pytest.mark.parametrize("text", ["", " ; ", ";".join(f"mug {i}" for i in range(9))])
-def test_no_words_and_too_many_queries_are_refused(session: Session, text: str) -> None:
+def test_no_words_and_too_many_queries_are_refused(session, text):
     session.ask("tall lamp")
-    with pytest.raises(InputError, match=str(MAX_QUERIES)):
+    with refused(str(MAX_QUERIES)):
         session.ask(text)
     assert session.results[0].label == "tall lamp"  # what was there stays
 
 
-def test_a_click_is_named_and_more_of_it_is_found(session: Session) -> None:
-    frame = session.shown.frame
-    origin = frame.shown(np.array([*CENTERS[2][:2], 5.0]))
-    this = session.click(origin, np.array([0.0, 0, -1]))
-    assert this is not None
-    assert this.name == "tall lamp"
-    assert this.gaussian_id in rows(2)
-    assert [one.mask_id for one in this.evidence] == [2]
-    session.more_like_this()
-    np.testing.assert_array_equal(session.selection, rows(2))
-
-
-def test_a_click_into_the_air_is_nothing(session: Session) -> None:
-    assert session.click(np.array([0.0, 0, 500]), np.array([0.0, 0, 1])) is None
-    with pytest.raises(InputError, match="click something"):
-        session.more_like_this()
-
-
-def test_a_click_shows_the_photo_where_there_is_one(session: Session, tmp_path: Path) -> None:
+def test_a_click_shows_the_photo_where_there_is_one(session, tmp_path):
     origin = session.shown.frame.shown(np.array([*CENTERS[0][:2], 5.0]))
     this = session.click(origin, np.array([0.0, 0, -1]))
     assert this is not None
     photo = photo_of(session.scene, this)
-    assert photo is not None
     assert photo.shape == (112, 160, 3)
     assert photo_of(Scene(session.scene.field, session.scene.gaussians), this) is None
-
-
-def test_a_picture_needs_an_encoder_that_sees(session: Session) -> None:
-    with pytest.raises(InputError, match="sees no images"):
-        session.ask_picture(np.zeros((4, 4, 3), np.uint8), "mug.png")
-
-
-def test_classes_colour_everything_that_has_a_feature(session: Session) -> None:
-    classes = session.classify(["red mug", "tall lamp ", ""])
-    assert classes.names == ("red mug", "tall lamp")
-    assert session.mode is Mode.CLASSES
-    colors = session.colors
-    assert not np.allclose(colors[rows(0)].mean(0), colors[rows(2)].mean(0), atol=0.1)
-    with pytest.raises(InputError, match="one or more"):
-        session.classify([])
 
 
 # --- changing and saving ---
 
 
-def test_hidden_is_not_met_not_shown_and_not_saved(session: Session, tmp_path: Path) -> None:
+def test_hidden_is_not_met_not_shown_and_not_saved(session, tmp_path):
     session.ask("red mug")
     session.edit(Remove())
     assert (session.edits.opacities[rows(0)] == 0).all()
@@ -368,31 +277,7 @@ def test_hidden_is_not_met_not_shown_and_not_saved(session: Session, tmp_path: P
     assert (session.edits.opacities == session.scene.gaussians.opacities).all()
 
 
-def test_kept_alone_everything_else_is_hidden(session: Session) -> None:
-    session.ask("red mug")
-    session.edit(Isolate())
-    np.testing.assert_array_equal(np.flatnonzero(session.edits.opacities), rows(0))
-
-
-def test_without_a_selection_nothing_is_changed(session: Session) -> None:
-    with pytest.raises(InputError, match="nothing is selected"):
-        session.edit(Remove())
-    assert not session.hidden.any()
-
-
-def test_a_saved_scene_has_its_columns_and_stays_the_scene(session: Session, tmp_path: Path) -> None:
-    session.ask("red mug; tall lamp")
-    saving.save_scene(tmp_path / "found.ply", session)
-    saved = read_gaussians(tmp_path / "found.ply")
-    assert saved.fingerprint == session.scene.gaussians.fingerprint
-    ids = saved.extra["match_id"]
-    assert set(ids[rows(0)]) == {0}
-    assert set(ids[rows(2)]) == {1}
-    assert set(ids[rows(1)]) == {-1}
-    assert (saved.extra["relevancy"][rows(0)] > 0.9).all()
-
-
-def test_a_selection_is_saved_alone_and_in_its_new_colour(session: Session, tmp_path: Path) -> None:
+def test_a_selection_is_saved_alone_and_in_its_new_colour(session, tmp_path):
     session.ask("red mug")
     session.edit(Recolour((0, 1, 0)))
     saving.save_scene(tmp_path / "mug.ply", session, selected_only=True)
@@ -400,19 +285,10 @@ def test_a_selection_is_saved_alone_and_in_its_new_colour(session: Session, tmp_
     assert len(saved) == EACH
     rgb = shown.base_colors(saved)
     assert (rgb[:, 1] >= rgb[:, 0]).all()
-    np.testing.assert_allclose(rgb[:, [0, 2]], 0, atol=1e-6)
+    assert_allclose(rgb[:, [0, 2]], 0, atol=1e-6)
 
 
-def test_a_picture_shows_what_was_found(session: Session) -> None:
-    view = session.scene.views[0].resized(320, 224)
-    plain = saving.picture_of(session, view)
-    session.ask("tall lamp")
-    found = saving.picture_of(session, view)
-    assert not np.array_equal(plain, found)
-    assert Image.open(io.BytesIO(png(found))).size == (320, 224)
-
-
-def test_a_flight_is_an_endless_gif(session: Session) -> None:
+def test_a_flight_is_an_endless_gif(session):
     session.ask("tall lamp")
     eye, target = np.array([3.0, -3, 2]), np.zeros(3)
     film = Image.open(io.BytesIO(saving.flight_gif(session, eye, target, UP, frames=4)))
@@ -420,48 +296,30 @@ def test_a_flight_is_an_endless_gif(session: Session) -> None:
     assert film.info["loop"] == 0
 
 
-def test_new_names_replace_nothing(tmp_path: Path) -> None:
-    for expected in ("found.ply", "found-2.ply", "found-3.ply"):
-        path = saving.new_name(tmp_path, "found", ".ply")
-        assert path.name == expected
-        saving.write_bytes(path, b"x")
-
-
-def test_a_session_saves_so_many_files_and_never_over_another(tmp_path: Path) -> None:
+def test_a_session_saves_so_many_files_and_never_over_another(tmp_path):
     (tmp_path / "found.ply").symlink_to(tmp_path / "nowhere")
     saves = saving.Saves(tmp_path, most_files=2)
     for expected in ("found-2.ply", "found-3.ply"):
         path, data = saves.save("found", ".ply", lambda path: path.write_bytes(b"xy"))
         assert (path.name, data) == (expected, b"xy")
-    with pytest.raises(InputError, match="saved enough"):
+    with refused("saved enough"):
         saves.save("found", ".ply", lambda path: path.write_bytes(b""))
     assert not (tmp_path / "nowhere").exists()
     assert (tmp_path / "found.ply").is_symlink()
 
 
-def test_a_session_saves_so_many_bytes(tmp_path: Path) -> None:
+def test_a_session_saves_so_many_bytes(tmp_path):
     saves = saving.Saves(tmp_path, most_bytes=3)
     for _ in range(2):
         saves.save("found", ".ply", lambda path: path.write_bytes(b"xy"))
-    with pytest.raises(InputError, match="saved enough"):
+    with refused("saved enough"):
         saves.save("found", ".ply", lambda path: path.write_bytes(b""))
-
-
-def test_without_a_folder_nothing_stays_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    path, data = saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
-    assert data == b"xy"
-    assert not path.exists()
-    assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr(saving, "MAX_SENT_BYTES", 1)
-    with pytest.raises(InputError, match="--save-dir"):
-        saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
 
 
 # --- texts of strangers ---
 
 
-def test_no_text_of_a_stranger_is_more_than_text() -> None:
+def test_no_text_of_a_stranger_is_more_than_text():
     hostile = "<img src=x onerror=alert(1)>&\udcff\x1b[2J\u202e\n"
     assert client.escaped(hostile) == "&lt;img src=x onerror=alert(1)&gt;&amp;" + "\ufffd" + "\ufffd[2J" + 2 * "\ufffd"
     assert client.printable("é 日本 🍎") == "é 日本 🍎"
@@ -471,7 +329,7 @@ def test_no_text_of_a_stranger_is_more_than_text() -> None:
 # --- what to ask ---
 
 
-def test_what_is_suggested_is_found(session: Session) -> None:
+def test_what_is_suggested_is_found(session):
     words = ("elephant", *THINGS, "green sofa")
     suggested = suggestions(session.scene, words)
     assert suggested
@@ -480,7 +338,7 @@ def test_what_is_suggested_is_found(session: Session) -> None:
     assert suggestions(session.scene, words, most=1) == suggested[:1]
 
 
-def test_nothing_is_suggested_where_nothing_can_be_asked(tmp_path: Path) -> None:
+def test_nothing_is_suggested_where_nothing_can_be_asked(tmp_path):
     write_gaussians(tmp_path / "plain.ply", random_gaussians(50))
     assert suggestions(open_bare(tmp_path / "plain.ply")) == []
 
@@ -488,22 +346,22 @@ def test_nothing_is_suggested_where_nothing_can_be_asked(tmp_path: Path) -> None
 # --- a scene without a field ---
 
 
-def test_a_scene_without_a_field_can_be_looked_at_and_saved_and_says_why_it_is_silent(tmp_path: Path) -> None:
+def test_a_scene_without_a_field_can_be_looked_at_and_saved_and_says_why_it_is_silent(tmp_path):
     scene = random_gaussians(50)
     write_gaussians(tmp_path / "plain.ply", scene)
     bare = Session(open_bare(tmp_path / "plain.ply"))
     assert not bare.is_askable
-    with pytest.raises(InputError, match="no field"):
+    with refused("no field"):
         bare.ask("red mug")
     for mode in Mode:
         bare.mode = mode
         assert bare.colors.shape == (50, 3)
     assert bare.click(np.array([0.0, 0.0, -9.0]), np.array([0.0, 0.0, 1.0])) is None
     assert saving.save_scene(tmp_path / "again.ply", bare) == 50
-    np.testing.assert_array_equal(read_gaussians(tmp_path / "again.ply").means, scene.means)
+    assert_array_equal(read_gaussians(tmp_path / "again.ply").means, scene.means)
 
 
-def test_a_trained_model_is_bare_until_it_has_a_field(tmp_path: Path) -> None:
+def test_a_trained_model_is_bare_until_it_has_a_field(tmp_path):
     folder = tmp_path / "point_cloud/iteration_7"
     folder.mkdir(parents=True)
     write_gaussians(folder / "point_cloud.ply", random_gaussians(50))

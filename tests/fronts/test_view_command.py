@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import write_gaussians
 from drsplat.cli import main
@@ -41,12 +42,10 @@ def header_and_blob(path: Path) -> tuple[dict, bytes]:
     text = path.read_text(encoding="utf-8")
     header = re.search(r'id="header">(.*?)</script>', text, re.DOTALL)
     blob = re.search(r'id="blob">(.*?)</script>', text, re.DOTALL)
-    assert header is not None
-    assert blob is not None
     return json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
 
 
-def test_a_page_says_from_where_left_and_right_are_meant_and_what_matches_instead(tmp_path: Path) -> None:
+def test_a_page_says_from_where_left_and_right_are_meant_and_what_matches_instead(tmp_path):
     scene = boxes_scene()
     export_page(tmp_path / "page.html", scene, ["red mug left of the blue mug", "elephant"])
     sides, nothing = header_and_blob(tmp_path / "page.html")[0]["answers"]
@@ -56,13 +55,13 @@ def test_a_page_says_from_where_left_and_right_are_meant_and_what_matches_instea
     assert sides["instead"] == []
 
 
-def test_a_page_holds_the_scene_and_its_answers(folder: Path) -> None:
+def test_a_page_holds_the_scene_and_its_answers(folder):
     assert export(folder, "--ask", "tall lamp; elephant", "--words", ",".join(THINGS)) == 0
     header, blob = header_and_blob(folder / "page.html")
     arrays = {name: (kind, offset, size) for name, kind, offset, size in header["arrays"]}
     _, offset, size = arrays["owner0"]
     owners = np.frombuffer(blob, np.uint8, size, offset)
-    np.testing.assert_array_equal(np.flatnonzero(owners), np.arange(2 * EACH, 3 * EACH))
+    assert_array_equal(np.flatnonzero(owners), np.arange(2 * EACH, 3 * EACH))
     assert [len(answer["matches"]) for answer in header["answers"]] == [1, 0]
     assert header["search"]["vocabulary"] == list(THINGS)
     _, offset, size = arrays["things"]
@@ -71,14 +70,14 @@ def test_a_page_holds_the_scene_and_its_answers(folder: Path) -> None:
     assert set(things[3 * EACH :]) == {0}  # without a feature
 
 
-def test_a_query_cannot_end_the_script_that_it_is_in(folder: Path) -> None:
+def test_a_query_cannot_end_the_script_that_it_is_in(folder):
     assert export(folder, "--ask", "</script><script>alert(1)</script> mug") == 0
     header, _ = header_and_blob(folder / "page.html")
     assert header["answers"][0]["text"].startswith("</script>")
     assert "alert(1)</script>" not in (folder / "page.html").read_text(encoding="utf-8")
 
 
-def test_a_page_needs_no_network(folder: Path) -> None:
+def test_a_page_needs_no_network(folder):
     export(folder, "--ask", "mug")
     text = (folder / "page.html").read_text(encoding="utf-8")
     assert f'content="{PAGE_POLICY}"' in text  # a browser then asks no host, whatever a script tries
@@ -88,20 +87,19 @@ def test_a_page_needs_no_network(folder: Path) -> None:
     assert not re.search(r"<(script|link|img|iframe)[^>]*\s(src|href)\s*=(?!.data:)|https?://|@import", text)
 
 
-def test_the_scene_in_a_page_is_a_file_that_others_read(folder: Path) -> None:
+def test_the_scene_in_a_page_is_a_file_that_others_read(folder):
     export(folder, "--ask", "mug")
     header, _ = header_and_blob(folder / "page.html")
     found = re.search(r'id="scene" data-name="scene.spz">(.*?)</script>', (folder / "page.html").read_text("utf-8"))
-    assert found is not None
     inside, scene = parse_spz(memoryview(base64.b64decode(found[1]))), boxes_scene()
     weight = significance(scene.gaussians)
     order = np.argsort(-weight, kind="stable")
-    np.testing.assert_allclose(inside.means, scene.gaussians.means[order], atol=1e-5)
+    assert_allclose(inside.means, scene.gaussians.means[order], atol=1e-5)
     assert len(inside) == len(scene.gaussians)
     assert header["frame"]["scale"] == Session(scene).shown.frame.scale
 
 
-def test_a_page_opens_before_its_first_match(folder: Path) -> None:
+def test_a_page_opens_before_its_first_match(folder):
     export(folder, "--ask", "elephant; tall lamp")
     header, _ = header_and_blob(folder / "page.html")
     (match,) = header["answers"][1]["matches"]
@@ -113,13 +111,13 @@ def test_a_page_opens_before_its_first_match(folder: Path) -> None:
     ("more", "said"),
     [(["--ask", "mug", "--up", "up"], "expected one of"), (["--ask", "mug", "--known", "..."], "has no word")],
 )
-def test_what_is_missing_is_said(folder: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str) -> None:
+def test_what_is_missing_is_said(folder, capsys, more, said):
     assert export(folder, *more) == 1
     assert said in capsys.readouterr().err
     assert not (folder / "page.html").exists()
 
 
-def test_a_field_alone_is_not_enough(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_field_alone_is_not_enough(folder, capsys):
     page = ["--export", str(folder / "page.html"), "--ask", "mug"]
     assert main(["view", str(folder / "boxes.field"), *page]) == 1
     assert "--scene" in capsys.readouterr().err
@@ -127,9 +125,7 @@ def test_a_field_alone_is_not_enough(folder: Path, capsys: pytest.CaptureFixture
     assert main(["view", str(folder / "boxes.field"), *scene, *page]) == 0
 
 
-def test_a_scene_without_a_field_becomes_a_page_without_answers(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scene_without_a_field_becomes_a_page_without_answers(folder, capsys):
     page = ["--export", str(folder / "plain.html"), "--json"]
     assert main(["view", str(folder / "boxes.ply"), *page]) == 0
     assert json.loads(capsys.readouterr().out)["num_shown"] == 3 * EACH + 60
@@ -140,14 +136,14 @@ def test_a_scene_without_a_field_becomes_a_page_without_answers(
 
 
 @pytest.mark.parametrize("ask", ["\x1b[2J mug", "\u202emug", "x" * 100_000])
-def test_any_text_can_be_asked_for_on_a_page(folder: Path, ask: str) -> None:
+def test_any_text_can_be_asked_for_on_a_page(folder, ask):
     assert export(folder, "--ask", ask) == 0
     header, _ = header_and_blob(folder / "page.html")
     assert header["answers"][0]["text"].isprintable()
     assert len(header["answers"][0]["text"]) <= 200
 
 
-def test_a_name_that_is_no_text_is_no_obstacle(folder: Path) -> None:
+def test_a_name_that_is_no_text_is_no_obstacle(folder):
     odd = folder.parent / "odd\udcff<b>"
     folder.rename(odd)
     assert main(["view", str(odd), "--export", str(odd / "page.html"), "--ask", "mug"]) == 0
@@ -157,12 +153,11 @@ def test_a_name_that_is_no_text_is_no_obstacle(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
-def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path, end: signal.Signals) -> None:
+def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder, end):
     pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
     pytest.importorskip("prometheus_client", reason="the extra drsplat[viewer] is not installed")
     command = [sys.executable, "-m", "drsplat", "view", str(folder), "--port", "8981", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as started:
-        assert started.stdout is not None
         told = json.loads(started.stdout.readline())
         assert told["address"].startswith("http://127.0.0.1:")
         state = f"{told['address']}/view/state"
@@ -175,7 +170,7 @@ def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path, 
 
 
 @pytest.mark.parametrize("package", ["fastapi", "uvicorn", "prometheus_client"])
-def test_without_the_extra_a_line_says_what_to_install(package: str, folder: Path) -> None:
+def test_without_the_extra_a_line_says_what_to_install(package, folder):
     """In a process of its own, where nothing of it has been imported yet."""
     code = f"import sys; sys.modules[{package!r}] = None; from drsplat.cli import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run(
@@ -190,27 +185,25 @@ def test_without_the_extra_a_line_says_what_to_install(package: str, folder: Pat
 @pytest.mark.parametrize(
     ("options", "code"), [(["--port", "99999999999"], 2), (["--host", "300.1.1.1"], 1), (["--host", "a" * 300], 1)]
 )
-def test_where_it_cannot_listen_is_said(
-    folder: Path, capsys: pytest.CaptureFixture[str], options: list[str], code: int
-) -> None:
+def test_where_it_cannot_listen_is_said(folder, capsys, options, code):
     pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
     pytest.importorskip("prometheus_client", reason="the extra drsplat[viewer] is not installed")
     assert main(["view", str(folder), *options]) == code
     assert re.search("listen|port", capsys.readouterr().err)
 
 
-def test_one_gaussian_makes_a_page(folder: Path) -> None:
+def test_one_gaussian_makes_a_page(folder):
     assert export(folder, "--ask", "mug", "--max-gaussians", "1") == 0
 
 
-def test_a_page_is_not_overwritten_unasked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_is_not_overwritten_unasked(folder, capsys):
     assert export(folder, "--ask", "mug") == 0
     assert export(folder, "--ask", "lamp") == 1
     assert "--overwrite" in capsys.readouterr().err
     assert export(folder, "--ask", "lamp", "--overwrite") == 0
 
 
-def test_a_budget_is_kept_and_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_budget_is_kept_and_told(folder, capsys):
     assert export(folder, "--ask", "mug", "--max-gaussians", "100", "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["num_shown"] == 100
@@ -219,20 +212,20 @@ def test_a_budget_is_kept_and_told(folder: Path, capsys: pytest.CaptureFixture[s
     assert "100 most significant" in header["about"]
 
 
-def test_packed_arrays_are_where_the_layout_says() -> None:
+def test_packed_arrays_are_where_the_layout_says():
     arrays = {"a": np.arange(3, dtype=np.uint8), "b": np.linspace(0, 1, 5, dtype=np.float32)}
     layout, blob = packed(arrays)
     for name, _, offset, size in layout:
         assert offset % 4 == 0
         own = arrays[name]
-        np.testing.assert_array_equal(np.frombuffer(blob, own.dtype, size, offset), own)
+        assert_array_equal(np.frombuffer(blob, own.dtype, size, offset), own)
 
 
-def test_what_is_filled_in_is_not_filled_again() -> None:
+def test_what_is_filled_in_is_not_filled_again():
     assert filled("@A@ @B@", {"A": "@B@", "B": "x@A@"}) == "@B@ x@A@"
 
 
-def test_too_many_gaussians_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_gaussians_are_refused(folder, monkeypatch):
     from drsplat.fronts.viewing import page
     from drsplat.fronts.viewing.exporting import page_of
 

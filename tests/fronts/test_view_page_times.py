@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from browsing import PANEL, a_page, eventually, near, needs_chromium, opened, pixels_of, settled
 from drsplat import Scene, export_page
@@ -42,8 +43,6 @@ def parts_of(page: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The header and the arrays, as the page reads them."""
     text = page.read_text(encoding="utf-8")
     header, blob = (re.search(rf'id="{name}">(.*?)</script>', text, re.DOTALL) for name in ("header", "blob"))
-    assert header is not None
-    assert blob is not None
     told, data = json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
     arrays = {
         name: np.frombuffer(data, f"<{kind[0]}{kind[1]}", count, offset) for name, kind, offset, count in told["arrays"]
@@ -51,7 +50,7 @@ def parts_of(page: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return told, arrays
 
 
-def test_a_page_has_what_moves_at_all_times(exported: Path, scene: Scene) -> None:
+def test_a_page_has_what_moves_at_all_times(exported, scene):
     header, arrays = parts_of(exported)
     clock = header["clock"]
     assert clock["at"] == scene.moving.times.tolist()
@@ -61,7 +60,7 @@ def test_a_page_has_what_moves_at_all_times(exported: Path, scene: Scene) -> Non
     frame = Session(scene).shown.frame
     for number, time in enumerate(clock["at"]):
         there = frame.world(np.array(clock["low"]) + np.array(clock["step"]) * places[number])
-        np.testing.assert_allclose(there, scene.moving.at(time).means[CAR], atol=1e-3)
+        assert_allclose(there, scene.moving.at(time).means[CAR], atol=1e-3)
     turns = np.cumsum(arrays["turns"].view(np.uint16).reshape(6, 600), axis=0, dtype=np.uint16).view(np.float16)
     assert (turns == turns[0]).all()
     fades = np.cumsum(arrays["fades"].reshape(6, 100), axis=0, dtype=np.uint8)
@@ -71,16 +70,16 @@ def test_a_page_has_what_moves_at_all_times(exported: Path, scene: Scene) -> Non
     assert not owners[100:].any()
 
 
-def test_boxes_go_along(exported: Path, scene: Scene) -> None:
+def test_boxes_go_along(exported, scene):
     header, _ = parts_of(exported)
     (car,), (vase,) = (answer["matches"] for answer in header["answers"])
     assert vase["boxes"] == []
     centers = Session(scene).shown.frame.world(np.array(car["boxes"])[:, :3])
-    np.testing.assert_allclose(np.diff(centers[:, 1]), 0.4, atol=1e-3)
+    assert_allclose(np.diff(centers[:, 1]), 0.4, atol=1e-3)
     assert sum(bool(one["boxes"]) for one in header["objects"]) == 1
 
 
-def test_what_stands_still_has_no_times(scene: Scene, tmp_path: Path) -> None:
+def test_what_stands_still_has_no_times(scene, tmp_path):
     export_page(tmp_path / "page.html", scene.at(0.5), ["red car"], up=UP)
     header, arrays = parts_of(tmp_path / "page.html")
     assert header["clock"] is None
@@ -89,11 +88,10 @@ def test_what_stands_still_has_no_times(scene: Scene, tmp_path: Path) -> None:
     assert boxes_of(Session(scene.at(0.5)), None, scene.objects) == [[], [], []]
 
 
-def test_a_large_film_is_thinned_or_refused(scene: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_large_film_is_thinned_or_refused(scene, monkeypatch, tmp_path):
     monkeypatch.setattr(pages, "MIN_TIMES", 3)
     monkeypatch.setattr(pages, "MAX_MOVED_PLACES", 399)
     found = times_of_page(Session(scene))
-    assert found is not None
     assert found.times.tolist() == pytest.approx([0, 0.4, 1])
     assert found.summary == "100 of them move, at 3 of 6 times."
     monkeypatch.setattr(pages, "MAX_MOVED_PLACES", 250)
@@ -102,18 +100,16 @@ def test_a_large_film_is_thinned_or_refused(scene: Scene, monkeypatch: pytest.Mo
     assert not list(tmp_path.iterdir())
 
 
-def test_edits_move_along(scene: Scene) -> None:
+def test_edits_move_along(scene):
     session = Session(scene)
     before = times_of_page(session)
     session.edits.add(Edit(Everything(), Move((0.0, 0.0, 1.0))))
     after = times_of_page(session)
-    assert before is not None
-    assert after is not None
     assert after.low - before.low == pytest.approx([0, 0, session.shown.frame.scale], abs=1e-3)
-    np.testing.assert_allclose(after.step, before.step, rtol=1e-3)
+    assert_allclose(after.step, before.step, rtol=1e-3)
 
 
-def test_what_comes_and_goes_moves(scene: Scene) -> None:
+def test_what_comes_and_goes_moves(scene):
     """What fades stays where it is; what cannot be seen at a time may be anywhere then."""
     moving = scene.moving
 
@@ -127,7 +123,6 @@ def test_what_comes_and_goes_moves(scene: Scene) -> None:
 
     film = Moving(moving.canonical, moving.times, Fading())
     found = times_of_page(Session(Scene(scene.field, film, scene.views)))
-    assert found is not None
     assert sorted(found.order[: found.opacities.shape[1]]) == list(range(20))
     assert np.abs(found.step).max() < 1e-2
     assert found.opacities[-1].max() == 0
@@ -139,7 +134,7 @@ def test_what_comes_and_goes_moves(scene: Scene) -> None:
 @needs_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
-def test_time_is_pulled_and_plays(exported: Path, scene: Scene, size: tuple[int, int], chromium: Any) -> None:
+def test_time_is_pulled_and_plays(exported, scene, size, chromium):
     """The red car is where it is at the first time, then at the last, halfway between two, and then moves by itself."""
     frame = Session(scene).shown.frame
 

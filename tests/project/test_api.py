@@ -79,24 +79,24 @@ ORDER = tuple(f"{wing}.{room}".strip(".") for wing, rooms in WINGS.items() for r
 SOURCE = Path(drsplat.__file__).parent
 
 
-def test_public_names_are_these_and_no_others() -> None:
+def test_public_names_are_these_and_no_others():
     assert set(drsplat.__all__) == PUBLIC
     assert len(PUBLIC - {"__version__"}) <= 40
     assert set(dir(drsplat)) == PUBLIC
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))
-def test_public_name_is_there_and_named_so(name: str) -> None:
+def test_public_name_is_there_and_named_so(name):
     thing = getattr(drsplat, name)
     assert getattr(thing, "__name__", name) == name
 
 
-def test_unknown_name_is_an_attribute_error() -> None:
+def test_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'read_gausians'"):
         drsplat.read_gausians  # noqa: B018
 
 
-def test_version_is_the_installed_one() -> None:
+def test_version_is_the_installed_one():
     assert drsplat.__version__ == version("drsplat")
 
 
@@ -107,12 +107,12 @@ def imported_by(statement: str) -> set[str]:
     return set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
 
 
-def test_importing_the_package_imports_nothing_heavy() -> None:
+def test_importing_the_package_imports_nothing_heavy():
     assert imported_by("import drsplat") == set()
     assert imported_by("from drsplat.cli import make_parser; make_parser()") == set()
 
 
-def test_no_public_name_needs_torch_faiss_or_rich() -> None:
+def test_no_public_name_needs_torch_faiss_or_rich():
     loaded = imported_by("from drsplat import *")
     assert not loaded & {"torch", "faiss", "rich"}
     assert "numpy" in loaded  # so this test could fail
@@ -138,7 +138,7 @@ def imports_of(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix())
-def test_imports_go_one_way(path: Path) -> None:
+def test_imports_go_one_way(path):
     parts = list(path.relative_to(SOURCE).with_suffix("").parts)
     if parts[-1] == "__init__":  # of a wing names modules of its rooms, but loads none
         return
@@ -167,7 +167,7 @@ def modules_of(path: Path, known: set[str]) -> set[str]:
     return found & known
 
 
-def test_no_two_modules_need_each_other() -> None:
+def test_no_two_modules_need_each_other():
     def name_of(path: Path) -> str:
         return ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
 
@@ -178,17 +178,17 @@ def test_no_two_modules_need_each_other() -> None:
     assert sorted(left) == []  # what remains is in a circle, or needs one
 
 
-def test_nothing_that_runs_imports_a_twin() -> None:
+def test_nothing_that_runs_imports_a_twin():
     product = [path for path in SOURCE.rglob("*.py") if "reference" not in path.parts]
     assert [path.name for path in product if "reference" in imports_of(path)] == []
 
 
-def test_annotations_of_arrays_are_from_one_module() -> None:
+def test_annotations_of_arrays_are_from_one_module():
     asking = [path for path in SOURCE.rglob("*.py") if "from jaxtyping" in path.read_text(encoding="utf-8")]
     assert asking == [SOURCE / "base/arrays.py"]
 
 
-def test_few_entries_stand_at_the_root() -> None:
+def test_few_entries_stand_at_the_root():
     entries = {path.name for path in SOURCE.iterdir()} - {"py.typed", "_native.pyi", "__pycache__"}
     assert len({name for name in entries if not name.startswith("_native.")}) <= 16
 
@@ -197,16 +197,14 @@ FOLDERS = sorted(path.parent for path in SOURCE.rglob("__init__.py") if path.par
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.relative_to(SOURCE).as_posix())
-def test_a_folder_says_what_it_is_for(folder: Path) -> None:
+def test_a_folder_says_what_it_is_for(folder):
     doc = ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
-    assert doc is not None
     assert len(doc.split()) > 5
 
 
 @pytest.mark.parametrize("wing", sorted({path.parent for path in SOURCE.glob("*/__init__.py")}), ids=lambda p: p.name)
-def test_a_wing_says_where_to_begin_and_what_it_imports(wing: Path) -> None:
+def test_a_wing_says_where_to_begin_and_what_it_imports(wing):
     doc = ast.get_docstring(ast.parse((wing / "__init__.py").read_text()))
-    assert doc is not None
     purpose, _, imports = doc.rpartition("\n\nImports ")
     assert "Begin with" in " ".join(purpose.split())
     used = {name.split(".")[0] for path in wing.rglob("*.py") for name in imports_of(path)}
@@ -216,14 +214,14 @@ def test_a_wing_says_where_to_begin_and_what_it_imports(wing: Path) -> None:
 @pytest.mark.parametrize(
     "written", ["0.2820947917", "0.299, 0.587", "1 - 2 * (y * y + z * z)", "searchsorted(field.gaussian_ids"]
 )
-def test_a_rule_is_written_once(written: str) -> None:
+def test_a_rule_is_written_once(written):
     """Beside the twins, whose point is to be written again."""
     production = [path for path in SOURCE.rglob("*.py") if "reference" not in path.parts]
     found = [path.name for path in production if written in path.read_text(encoding="utf-8")]
     assert len(found) <= 1, found
 
 
-def test_docstrings_begin_with_whole_sentences() -> None:
+def test_docstrings_begin_with_whole_sentences():
     half = re.compile(r'^ *r?"""(Of|As|What|Who|Whoever|Where|Whether|From) .*', re.MULTILINE)
     source = Path(drsplat.__file__).parent
     begins = {path.relative_to(source).as_posix(): half.findall(path.read_text()) for path in source.rglob("*.py")}
@@ -247,7 +245,7 @@ VERBS = set(
 """What docstrings of functions begin with. A further one belongs here; a noun leaves open what is done with it."""
 
 
-def test_docstrings_of_functions_begin_with_a_verb() -> None:
+def test_docstrings_of_functions_begin_with_a_verb():
     """But those of properties, which say what they are."""
     assert {path: lines for path in sorted(SOURCE.rglob("*.py")) if (lines := nouns_first(path))} == {}
 
@@ -260,7 +258,7 @@ def nouns_first(path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: path.relative_to(SOURCE).as_posix())
-def test_no_module_gives_a_name_twice(path: Path) -> None:
+def test_no_module_gives_a_name_twice(path):
     """The second would be meant where the first is read: so a joined module reads another's constant."""
     names: list[str] = []
     for node in ast.parse(path.read_text()).body:

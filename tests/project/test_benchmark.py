@@ -16,6 +16,8 @@ from benchmarks.suite.rivals import FITTED
 from benchmarks.suite.targets import SAID
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 from world import packing
 
@@ -31,7 +33,7 @@ SHIPPED = sorted(path.parent for path in (ROOT / "world/scenes").glob("*/truth.j
 shipped = pytest.mark.skipif(not SHIPPED, reason="world/scenes has no packed scene")
 
 
-def test_the_page_is_what_the_results_make() -> None:
+def test_the_page_is_what_the_results_make():
     if not RESULTS.is_file():
         pytest.skip("docs/evaluation.json is not there: nothing was run yet")
     said = json.loads(ANSWERS.read_text("utf-8"))
@@ -40,7 +42,7 @@ def test_the_page_is_what_the_results_make() -> None:
     assert PICTURE.read_text(encoding="utf-8") == headline.picture(said)
 
 
-def test_questions_without_a_target_come_first() -> None:
+def test_questions_without_a_target_come_first():
     counted = {"rooms": ["a"], "answers": {kind: dict.fromkeys(SAID, 0) for kind in ("0", "1", "N")}}
     counted["answers"]["0"] |= {"nothing": 3, "wrong": 1}
     counted["answers"]["N"]["fewer"] = 2
@@ -102,7 +104,7 @@ def results() -> dict[str, Any]:
     }
 
 
-def test_a_page_by_hand() -> None:
+def test_a_page_by_hand():
     text = " ".join(page.page(results()).split())
     low, high = mean_interval([30.0, 35.0, 40.0, 45.0, 50.0])
     assert "| method | selection | volume | points | voxel |" in text
@@ -112,7 +114,7 @@ def test_a_page_by_hand() -> None:
     assert "| true, Spearman | 1.000 | -1.000 |" in text
 
 
-def test_methods_without_the_mean_are_given_as_they_are() -> None:
+def test_methods_without_the_mean_are_given_as_they_are():
     made = results()
     made["records"] = [one for one in made["records"] if one["method"] == "robust"]
     text = " ".join(page.page(made).split())
@@ -149,7 +151,7 @@ def words() -> dict[str, Any]:
     return {"segmenter": {"version": 7}, "wrong": [0, 20], "seeds": 1, "records": records}
 
 
-def test_the_page_begins_with_answers_to_words() -> None:
+def test_the_page_begins_with_answers_to_words():
     text = page.page(results(), words())
     first = " ".join(text.split("##")[0].split())
     assert "(evaluation.svg)" in first
@@ -164,7 +166,7 @@ def test_the_page_begins_with_answers_to_words() -> None:
     assert text.count("<details") == text.count("</details>") == text.count("<summary>") >= 3
 
 
-def test_a_gain_that_other_words_may_turn_is_not_called_one() -> None:
+def test_a_gain_that_other_words_may_turn_is_not_called_one():
     made = words()
     for one in made["records"]:
         one["objects"] = [one["plain"][0] + 0.2, one["plain"][1] - 0.19]
@@ -172,26 +174,26 @@ def test_a_gain_that_other_words_may_turn_is_not_called_one() -> None:
     assert "are neither clearly better nor worse (+0.5 [-18.6, +19.6]) in 2 real captures" in text
 
 
-def test_answers_to_one_word_are_one_draw() -> None:
+def test_answers_to_one_word_are_one_draw():
     once = numbers.over_places([[10.0, 30.0]], [["a", "b"]])
     assert once == pytest.approx((20, 20 - 1.96 * 200**0.5 / 2, 20 + 1.96 * 200**0.5 / 2))
     assert numbers.over_places([[10.0, 30.0] * 6], [["a", "b"] * 6]) == pytest.approx(once)
     assert numbers.over_places([[10.0, 30.0]] * 4, [["a", "b"]] * 4)[1] > once[1]
 
 
-def test_the_picture_is_to_scale() -> None:
+def test_the_picture_is_to_scale():
     root = ElementTree.fromstring(headline.picture(words()))
     svg = "{http://www.w3.org/2000/svg}"
     bars = [part for part in root.iter(f"{svg}rect") if part.find(f"{svg}title") is not None]
     assert len(bars) == 3 * (1 + 2 + 1 + 1)  # mean, plush, desk; mean, table_1
-    heights = [float(bar.get("height")) for bar in bars]  # type: ignore[arg-type]
+    heights = [float(bar.get("height")) for bar in bars]
     assert heights[2] / heights[0] == pytest.approx(75 / 45, abs=0.01)
     assert "prefers-color-scheme:dark" in chart.STYLE
     names = [text.text for text in root.iter(f"{svg}text")]
     assert {"mean", "plush", "desk", "table 1", "2 real captures"} <= set(names)
 
 
-def test_what_was_run_before_is_kept_where_nothing_changed(tmp_path: Path) -> None:
+def test_what_was_run_before_is_kept_where_nothing_changed(tmp_path):
     now = results() | {"version": 2}
     earlier = json.loads(json.dumps(now))
     for masks_kind, method in (("true", "opengaussian"), ("graph", "mean")):
@@ -211,7 +213,7 @@ def test_what_was_run_before_is_kept_where_nothing_changed(tmp_path: Path) -> No
     assert documents.with_earlier(now | {"sweep": []}, path)["records"] == now["records"]
 
 
-def test_the_page_names_what_older_code_made() -> None:
+def test_the_page_names_what_older_code_made():
     made = results()
     made["code"] = {"mean": "new", "robust": "new"}
     for one in made["records"]:
@@ -220,7 +222,7 @@ def test_the_page_names_what_older_code_made() -> None:
     assert "before stamps of the code were kept" in " ".join(page.page(results()).split())
 
 
-def test_a_stamp_is_of_what_code_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stamp_is_of_what_code_does(tmp_path, monkeypatch):
     monkeypatch.setattr(stamps, "ROOT", tmp_path)
     file = tmp_path / "rule.py"
 
@@ -233,7 +235,7 @@ def test_a_stamp_is_of_what_code_does(tmp_path: Path, monkeypatch: pytest.Monkey
     assert stamp_of("CUT = 0.6\n\n\ndef cut():\n    return CUT\n") != first
 
 
-def test_stamps_are_of_files_that_are_there() -> None:
+def test_stamps_are_of_files_that_are_there():
     for listed in (stamps.METHODS, stamps.RENDERED, stamps.FITTED, stamps.ANSWERS):
         assert all(path.exists() for path in listed)
 
@@ -241,7 +243,7 @@ def test_stamps_are_of_files_that_are_there() -> None:
 @pytest.mark.parametrize(
     ("module", "listed"), [("answers.py", stamps.ANSWERS), ("scoring.py", stamps.METHODS)], ids=["answers", "scoring"]
 )
-def test_what_a_part_imports_of_the_benchmark_is_in_its_stamp(module: str, listed: tuple[Path, ...]) -> None:
+def test_what_a_part_imports_of_the_benchmark_is_in_its_stamp(module, listed):
     """A module that is added to the trials, and not to the stamp, would leave old parts in place."""
     left, seen = [stamps.SUITE / module], set()
     while left:
@@ -264,7 +266,7 @@ def imported_files(file: Path) -> Iterator[Path]:
 
 
 @pytest.mark.slow
-def test_finished_parts_of_other_code_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finished_parts_of_other_code_are_made_again(tmp_path, monkeypatch):
     task = running.Task(tmp_path, "true", ("mean",), tmp_path, 1, 0)
     key = running._for("mean", {}, task)
     path = tmp_path / "mean.json"
@@ -274,7 +276,7 @@ def test_finished_parts_of_other_code_are_made_again(tmp_path: Path, monkeypatch
     assert running._finished(path, running._for("mean", {}, task)) is None
 
 
-def test_the_study_correlates_over_scenes() -> None:
+def test_the_study_correlates_over_scenes():
     found = numbers.correlations(numbers.records_of(results(), "true", "mean"))
     levels = [0.3, 0.35, 0.4, 0.45, 0.5]
     assert found["weighted"]["pearson"] == pytest.approx(pearson(levels, np.square(levels)))
@@ -283,41 +285,41 @@ def test_the_study_correlates_over_scenes() -> None:
 
 
 @given(st.lists(st.floats(-50, 50), min_size=2, max_size=12))
-def test_a_verdict_turns_with_the_sign(values: list[float]) -> None:
+def test_a_verdict_turns_with_the_sign(values):
     opposite = {"more": "less", "less": "more"}
     found = reading.verdict(values)
     assert reading.verdict([-value for value in values]) == opposite.get(found, found)
 
 
-def test_least_squares_are_numpys() -> None:
-    rng = np.random.default_rng(0)
+def test_least_squares_are_numpys():
+    rng = default_rng(0)
     weights = rng.random((60, 8), np.float32) * (rng.random((60, 8)) < 0.6)
     weights[:, 3] = 0  # no photo sees it
     targets = rng.standard_normal((60, 4)).astype(np.float32)
     found = rendered.least_squares(csr_array(weights.astype(np.float32)), targets, 40)
     expected, *_ = np.linalg.lstsq(weights.astype(np.float64), targets, rcond=None)
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert_allclose(found, expected, atol=1e-4)
     assert not found[3].any()
 
 
-def test_the_first_step_of_fitting_is_along_the_mean() -> None:
+def test_the_first_step_of_fitting_is_along_the_mean():
     """From zero, the gradient is the weighted sum that registration normalises."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     weights = rng.random((30, 5), np.float32)
     targets = rng.standard_normal((30, 3)).astype(np.float32)
     found = rendered.least_squares(csr_array(weights), targets, 1)
     ratio = found / (weights.T @ targets)
-    np.testing.assert_allclose(ratio, np.full(ratio.shape, ratio[0, 0]), rtol=1e-4)
+    assert_allclose(ratio, np.full(ratio.shape, ratio[0, 0]), rtol=1e-4)
     assert ratio[0, 0] > 0
 
 
-def test_gaussians_at_points_are_as_large_as_the_gaps() -> None:
+def test_gaussians_at_points_are_as_large_as_the_gaps():
     line = np.zeros((4, 3), np.float32)
     line[:, 0] = [0, 1, 2, 3]
     made = scenes.at_points(line)
-    np.testing.assert_array_equal(made.means, line)
+    assert_array_equal(made.means, line)
     expected = np.array([2, 4 / 3, 4 / 3, 2], np.float32)  # mean of three distances
-    np.testing.assert_allclose(made.scales, np.repeat(expected[:, None], 3, axis=1), rtol=1e-6)
+    assert_allclose(made.scales, np.repeat(expected[:, None], 3, axis=1), rtol=1e-6)
     assert (made.opacities == np.float32(scenes.OPACITY)).all()
 
 
@@ -332,14 +334,14 @@ def rendered_folder(place: Path, points: int) -> LabelledCloud:
     piece = {"category": "red mug", "bbox": [1, 1, 4, 4], "segmentation": [[1, 1], [4, 1], [4, 4]]}
     document = {"info": info, "objects": [piece]}
     (labels / "frame_00001.json").write_text(json.dumps(document), encoding="utf-8")
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     cloud = LabelledCloud(rng.random((points, 3), np.float32), rng.integers(0, 40, points).astype(np.int32))
     (scan / "room_vh_clean_2.labels.ply").write_bytes(packing._ply(cloud))
     return cloud
 
 
 @pytest.mark.parametrize("points", [7, 2 * packing.LABELLED_POINTS + 1])
-def test_packed_labels_are_what_the_readers_read(points: int, tmp_path: Path) -> None:
+def test_packed_labels_are_what_the_readers_read(points, tmp_path):
     cloud = rendered_folder(tmp_path / "rendered", points)
     output = tmp_path / "scenes" / "small"
     output.mkdir(parents=True)
@@ -348,9 +350,9 @@ def test_packed_labels_are_what_the_readers_read(points: int, tmp_path: Path) ->
     found = read_scannet_labels(output / "small_vh_clean_2.labels.ply")
     step = max(1, (points - 1) // (packing.LABELLED_POINTS - 1))
     assert len(found.labels) == min(points, packing.LABELLED_POINTS)
-    np.testing.assert_array_equal(found.positions[0], cloud.positions[0])
-    np.testing.assert_array_equal(found.positions[-1], cloud.positions[-1])
-    np.testing.assert_array_equal(found.labels[1], cloud.labels[step])
+    assert_array_equal(found.positions[0], cloud.positions[0])
+    assert_array_equal(found.positions[-1], cloud.positions[-1])
+    assert_array_equal(found.labels[1], cloud.labels[step])
     frame = json.loads((tmp_path / "scenes/label/small/frame_00001.json").read_text("utf-8"))
     assert frame["objects"][0]["category"] == "red mug"
 
@@ -358,7 +360,7 @@ def test_packed_labels_are_what_the_readers_read(points: int, tmp_path: Path) ->
 @pytest.mark.slow
 @shipped
 @pytest.mark.parametrize("folder", SHIPPED[:2], ids=lambda path: path.name)
-def test_shipped_scenes_are_whole(folder: Path) -> None:
+def test_shipped_scenes_are_whole(folder):
     scene = scenes.read_scene(folder)
     known = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     assert sorted(f"{frame.name}.jpg" for frame in scene.lerf.frames) == sorted(known["held_out"])
@@ -371,12 +373,12 @@ def test_shipped_scenes_are_whole(folder: Path) -> None:
     cut = masks.true_masks(scene, view, image)["large"]
     assert sum(cut.areas) == (ids >= 0).sum()
     for index, number in enumerate(np.unique(ids[ids >= 0])):
-        np.testing.assert_array_equal(cut.full(index), ids == number)
+        assert_array_equal(cut.full(index), ids == number)
 
 
 @pytest.mark.slow
 @shipped
-def test_registration_beats_lookup_of_rendered_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_registration_beats_lookup_of_rendered_features(tmp_path, monkeypatch):
     task = running.Task(SHIPPED[0], "true", ("mean", rendered.RENDERED), tmp_path, 5, 0)
     first = running.run([task], 1)
     mean, rival = (numbers.MEASURES["selection"](found) for found in first)
@@ -391,7 +393,7 @@ def test_registration_beats_lookup_of_rendered_features(tmp_path: Path, monkeypa
 
 @pytest.mark.slow
 @shipped
-def test_rivals_are_scored_like_all_others(tmp_path: Path) -> None:
+def test_rivals_are_scored_like_all_others(tmp_path):
     pytest.importorskip("torch")
     task = running.Task(SHIPPED[0], "true", FITTED, tmp_path, 14, 0, dict.fromkeys(FITTED, 0.0003))
     found = running.run([task], 1)
@@ -401,13 +403,13 @@ def test_rivals_are_scored_like_all_others(tmp_path: Path) -> None:
     assert "<summary>What the papers report</summary>" in written
 
 
-def test_prose_of_the_page_is_at_most_120_wide() -> None:
+def test_prose_of_the_page_is_at_most_120_wide():
     lines = [line for line in page.page(results()).split("\n") if not line.startswith("|")]
     assert 80 < max(map(len, lines)) <= 120
 
 
 @pytest.mark.parametrize("study", sorted(path.stem for path in (ROOT / "benchmarks").glob("study_*.py")))
-def test_studies_find_what_they_take_from_each_other(study: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_studies_find_what_they_take_from_each_other(study, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))  # as where a script is run
     try:
         importlib.import_module(f"benchmarks.{study}")

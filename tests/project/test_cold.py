@@ -2,9 +2,7 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
-from drsplat.evaluation.demo.story import Story
 from drsplat.fronts.commands.verbs import GROUPS, SUMMARIES
 
 BUILDING = {
@@ -22,18 +20,18 @@ def loaded_by(*line: object) -> set[str]:
     return set(subprocess.run(command, capture_output=True, text=True, check=True).stderr.splitlines()[-1].split())
 
 
-def test_every_verb_is_in_one_group_and_has_a_summary() -> None:
+def test_every_verb_is_in_one_group_and_has_a_summary():
     assert [verb for verbs in GROUPS.values() for verb in verbs] == list(SUMMARIES)
 
 
-def test_help_loads_no_verb() -> None:
+def test_help_loads_no_verb():
     loaded = loaded_by("--help")
     assert {"drsplat.fronts.commands.verbs", "argparse"} <= loaded
     assert not loaded & {f"drsplat.fronts.commands.{verb}" for verb in SUMMARIES}
     assert not loaded & {"numpy", "scipy", "json", "tomllib", "html", "subprocess", "dataclasses"}
 
 
-def test_a_question_loads_nothing_that_builds(story: Story, demo_folder: Path) -> None:
+def test_a_question_loads_nothing_that_builds(story, demo_folder):
     field = demo_folder / "room.field"
     selected = loaded_by("select", field, "blue cup")
     assert "drsplat.field.language_field" in selected
@@ -43,13 +41,13 @@ def test_a_question_loads_nothing_that_builds(story: Story, demo_folder: Path) -
     assert not located & (BUILDING | {"jaxtyping", "PIL"})
 
 
-def test_facts_of_a_field_need_no_matrix(story: Story, demo_folder: Path) -> None:
+def test_facts_of_a_field_need_no_matrix(story, demo_folder):
     inspected = loaded_by("inspect", demo_folder / "room.field")
     assert "drsplat.field.evidence.evidence" in inspected
     assert not inspected & (BUILDING | SLOW)
 
 
-def test_facts_of_a_folder_need_nothing_that_edits_or_cuts(story: Story, demo_folder: Path) -> None:
+def test_facts_of_a_folder_need_nothing_that_edits_or_cuts(story, demo_folder):
     inspected = loaded_by("inspect", demo_folder)
     assert {"drsplat.authoring.editing.edits", "drsplat.formats.langsplat"} <= inspected
     assert not inspected & (BUILDING | TREES | {"scipy", "drsplat.authoring.editing.closing"})

@@ -36,7 +36,7 @@ def blocks(document: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
-def test_the_readme_has_the_test_command_that_continuous_integration_runs() -> None:
+def test_the_readme_has_the_test_command_that_continuous_integration_runs():
     ci = (ROOT / ".ci/run").read_text(encoding="utf-8")
     pattern = re.search(r"grep -x '(.*)' README.md", ci)
     assert pattern

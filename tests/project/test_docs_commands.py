@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scripts import docs_commands
 from scripts.docs_blocks import MAX_WIDTH, PAGES, ROOT, Block, Piece, blocks, commands, pieces
 from scripts.docs_commands import Place
@@ -13,7 +14,6 @@ from scripts.docs_not_run import INSTALL, NOT_RUN, reason
 
 import drsplat as ds
 from drsplat.cli import VERBS, main, make_parser
-from drsplat.evaluation.demo.story import Story
 from drsplat.fronts.commands.parsing import UsageError
 from toy_capture import THINGS
 
@@ -29,7 +29,7 @@ def name_of(page: Path) -> str:
 
 
 @every_page
-def test_blocks_say_their_language_and_fit_a_page(page: Path) -> None:
+def test_blocks_say_their_language_and_fit_a_page(page):
     """A block without a language would not be run."""
     for block in blocks(page):
         assert block.language in LANGUAGES, f"{name_of(page)}:{block.line}"
@@ -37,7 +37,7 @@ def test_blocks_say_their_language_and_fit_a_page(page: Path) -> None:
         assert not wide or name_of(page) == "README.md", f"{name_of(page)}:{block.line}: {wide}"
 
 
-def test_nothing_is_passed_over() -> None:
+def test_nothing_is_passed_over():
     """Each line of a shell block is part of a command or a comment."""
     for page in PAGES:
         lines = [line for block in blocks(page) if block.language == "bash" for line in block.text.splitlines()]
@@ -47,7 +47,7 @@ def test_nothing_is_passed_over() -> None:
         ] == []
 
 
-def test_a_block_is_cut_into_commands() -> None:
+def test_a_block_is_cut_into_commands():
     text = 'pip install . && drsplat demo\ndrsplat ask "a\n b" \\\n    --top 1  # two lines\n\n# nothing\ncat a |\n  wc'
     cut = list(commands(Block("page.md", 10, "bash", text)))
     assert [(piece.line, piece.words) for piece in cut] == [
@@ -60,7 +60,7 @@ def test_a_block_is_cut_into_commands() -> None:
         list(commands(Block("page.md", 1, "bash", 'echo "')))
 
 
-def test_each_reason_names_a_command() -> None:
+def test_each_reason_names_a_command():
     """A row whose command has gone, or that is no reason any more, is an error."""
     for (page, begin), why in NOT_RUN.items():
         assert [one for one in ALL if (one.page, one.text.startswith(begin)) == (page, True)], (page, begin)
@@ -68,21 +68,19 @@ def test_each_reason_names_a_command() -> None:
 
 
 @pytest.mark.parametrize("piece", [one for one in ALL if reason(one)], ids=lambda one: one.place)
-def test_a_command_that_is_not_run_has_a_reason_that_holds(piece: Piece) -> None:
+def test_a_command_that_is_not_run_has_a_reason_that_holds(piece):
     why = reason(piece)
-    assert why is not None
     if "python -m" not in piece.text:  # whose options are compared with its help by the slow test
         assert why.check(piece) == ""
 
 
-def test_a_reason_that_does_not_hold_is_an_error() -> None:
+def test_a_reason_that_does_not_hold_is_an_error():
     assert "nosuch" in INSTALL.check(Piece("page.md", 1, "bash", 'pip install ".[serve,nosuch]"'))
     hours = reason(Piece("page.md", 1, "bash", "python -m world --nosuch 1"))
-    assert hours is not None
     assert "--nosuch" in hours.check(Piece("page.md", 1, "bash", "python -m world --nosuch 1"))
 
 
-def test_options_of_every_command_exist() -> None:
+def test_options_of_every_command_exist():
     """Also of those that are not run, and of those in the text around the blocks, which may leave out the rest."""
     parser = make_parser()
     whole = [one.words for one in ALL if one.language == "bash" and one.text.startswith("drsplat ")]
@@ -103,7 +101,7 @@ def test_options_of_every_command_exist() -> None:
                 raise
 
 
-def test_the_tour_has_every_verb() -> None:
+def test_the_tour_has_every_verb():
     """Beside README, whose first command is the demo."""
     shown = {
         one.words[1] for one in ALL if one.page in ("docs/tour.md", "README.md") and one.text.startswith("drsplat ")
@@ -118,7 +116,7 @@ def how_to_pages() -> list[Path]:
 
 
 @pytest.mark.parametrize("page", how_to_pages(), ids=lambda page: page.name)
-def test_how_to_pages_are_short_with_a_picture_and_a_command(page: Path) -> None:
+def test_how_to_pages_are_short_with_a_picture_and_a_command(page):
     """What was measured, and how, is a page of its own."""
     text = page.read_text(encoding="utf-8")
     prose = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
@@ -148,14 +146,14 @@ def after_without_a_model(place: Place) -> None:
 
 
 def after_scene_and_features(place: Place) -> None:
-    np.testing.assert_allclose(place.names["matches"][0].center, THINGS["red mug"], atol=0.1)
+    assert_allclose(place.names["matches"][0].center, THINGS["red mug"], atol=0.1)
     mug = len(np.load("mug_ids.npy"))
     assert len(ds.read_gaussians("without_mug.ply")) == len(ds.read_gaussians("scene.ply")) - mug
 
 
 def after_api(place: Place) -> None:
     assert len(place.names["matches"]) == 1
-    np.testing.assert_allclose(place.names["matches"][0].center, THINGS["red mug"], atol=0.1)
+    assert_allclose(place.names["matches"][0].center, THINGS["red mug"], atol=0.1)
 
 
 def after_catalogue(place: Place) -> None:
@@ -173,7 +171,7 @@ def after_splat_per_object(place: Place) -> None:
     room = ds.open_scene("drsplat-demo")
     for number, match in enumerate(room.objects):
         part = ds.read_gaussians(f"parts/object_{number:04d}.ply")
-        np.testing.assert_allclose(part.positions, room.gaussians.positions[match.gaussian_ids], atol=1e-5)
+        assert_allclose(part.positions, room.gaussians.positions[match.gaussian_ids], atol=1e-5)
 
 
 def after_capture(place: Place) -> None:
@@ -201,7 +199,7 @@ RESULTS: dict[str, tuple[tuple[str, ...], Callable[[Place], None] | None]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if pieces(page)], ids=name_of)
-def test_every_command_of_a_page_runs(page: Path, household_story: Story, household_folder: Path) -> None:
+def test_every_command_of_a_page_runs(page, household_story, household_folder):
     for name in ("transformers", "fastapi", "mcp"):
         pytest.importorskip(name, reason="needs drsplat[models,serve,mcp]")
     with docs_commands.placed(name_of(page), household_folder) as place:

@@ -54,9 +54,7 @@ def film(folder: Path) -> ds.Scene:
 
 
 @pytest.mark.parametrize(("name", "thing"), list(public()), ids=[name for name, _ in public()])
-def test_the_example_of_what_is_public_runs(
-    name: str, thing: object, folder: Path, film: ds.Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_of_what_is_public_runs(name, thing, folder, film, monkeypatch):
     monkeypatch.chdir(folder)
     scene = ds.open_scene("room.field", scene="scene.ply", views="capture")
     given = {"ds": ds, "np": np, "scene": scene, "film": film}
@@ -65,7 +63,7 @@ def test_the_example_of_what_is_public_runs(
     assert doctest.DocTestRunner().run(examples).failed == 0
 
 
-def test_help_shows_no_addresses() -> None:
+def test_help_shows_no_addresses():
     for name in ds.__all__:
         thing = getattr(ds, name)
         if callable(thing):

@@ -52,14 +52,14 @@ def center(demo: Story, text: str) -> np.ndarray:
     return next(one.center for one in demo.verdicts if one.probe.text == text)
 
 
-def test_there_are_ten_and_the_tour_links_them_all() -> None:
+def test_there_are_ten_and_the_tour_links_them_all():
     assert list(EXAMPLES) == [f"{number:02}" for number in range(1, 11)]
     tour = (ROOT / "docs/tour.md").read_text(encoding="utf-8")
     assert re.findall(r"\(\.\./examples/(\w+\.py)\)", tour) == [p.name for p in EXAMPLES.values()]
 
 
 @pytest.mark.parametrize("path", EXAMPLES.values(), ids=lambda path: path.stem)
-def test_an_example_is_short_and_says_how_it_is_run(path: Path) -> None:
+def test_an_example_is_short_and_says_how_it_is_run(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     assert 15 <= sum(bool(line) and not line.lstrip().startswith("#") for line in lines) <= 40
     assert max(map(len, lines)) <= 120
@@ -69,12 +69,12 @@ def test_an_example_is_short_and_says_how_it_is_run(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_registering_gives_the_field_of_the_demo(demo: Story, capsys: Capture) -> None:
+def test_registering_gives_the_field_of_the_demo(demo, capsys):
     run("01", capsys)
     assert ds.load_field("registered.field").fingerprint == demo.field.fingerprint
 
 
-def test_registering_features_of_langsplat(demo: Story, household_folder: Path, capsys: Capture) -> None:
+def test_registering_features_of_langsplat(demo, household_folder, capsys):
     """Of three photos, in LangSplat's own files, which do not name their encoder."""
     features = ds.read_features(household_folder / "language_features")
     for name in list(features)[:3]:
@@ -83,11 +83,10 @@ def test_registering_features_of_langsplat(demo: Story, household_folder: Path, 
     run("01", capsys, *given)
     field = ds.load_field("mine.field")
     assert (field.encoder.name, field.scene) == ("CLIP", demo.field.scene)
-    assert field.evidence is not None
     assert [Path(name).stem for name in field.evidence.masks.view_names] == list(features)[:3]
 
 
-def test_asking_saves_what_was_found(demo: Story, capsys: Capture) -> None:
+def test_asking_saves_what_was_found(demo, capsys):
     assert "seen in frame_" in run("02", capsys)
     saved, vase = ds.read_gaussians("found.ply"), found(demo, "red vase")
     assert saved.fingerprint == demo.gaussians.fingerprint
@@ -99,13 +98,13 @@ def test_asking_saves_what_was_found(demo: Story, capsys: Capture) -> None:
         assert np.ptp(np.asarray(picture), axis=2).max() > 100  # some of it is in colour
 
 
-def test_asking_for_what_is_not_there_saves_nothing(demo: Story, capsys: Capture) -> None:
+def test_asking_for_what_is_not_there_saves_nothing(demo, capsys):
     with pytest.raises(SystemExit, match="nothing found for 'laptop'"):
         run("02", capsys, "drsplat-demo", "laptop")
     assert not Path("found.ply").exists()
 
 
-def test_a_click_cuts_the_vase_out(demo: Story, capsys: Capture) -> None:
+def test_a_click_cuts_the_vase_out(demo, capsys):
     assert run("03", capsys).startswith("this is: red vase")
     thing, rest = ds.read_gaussians("thing.ply"), ds.read_gaussians("rest.ply")
     assert len(thing) + len(rest) == len(demo.gaussians)
@@ -116,7 +115,7 @@ def test_a_click_cuts_the_vase_out(demo: Story, capsys: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_things_are_counted(demo: Story, capsys: Capture) -> None:
+def test_things_are_counted(demo, capsys):
     printed = run("04", capsys)
     counts = re.findall(r"^(\d+) x (.+)$", printed, re.MULTILINE)
     assert counts == [("2", "something to eat"), ("1", "red vase"), ("1", "toy duck"), ("0", "laptop")]
@@ -125,7 +124,7 @@ def test_things_are_counted(demo: Story, capsys: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_features_are_evaluated(demo: Story, tmp_path: Path, capsys: Capture) -> None:
+def test_features_are_evaluated(demo, tmp_path, capsys):
     """Those of the field score as the field does; those of other Gaussians find nothing."""
     own = measured(run("05", capsys))
     assert own["miou"] > 0.65
@@ -144,7 +143,7 @@ def measured(printed: str) -> dict[str, float]:
 
 
 @pytest.mark.slow
-def test_another_encoder_finds_what_is_red(demo: Story, capsys: Capture) -> None:
+def test_another_encoder_finds_what_is_red(demo, capsys):
     run("06", capsys)
     field = ds.load_field("colors.field")
     assert (field.encoder.name, len(field)) == ("mean colour", len(demo.field))
@@ -155,18 +154,17 @@ def test_another_encoder_finds_what_is_red(demo: Story, capsys: Capture) -> None
 
 
 @pytest.mark.slow
-def test_new_photos_are_added(demo: Story, capsys: Capture) -> None:
+def test_new_photos_are_added(demo, capsys):
     printed = run("07", capsys)
     assert "of 42 views" in printed
     evidence = ds.load_field("more.field").evidence
-    assert evidence is not None
     names = {view.name for view in (*demo.views, *demo.held_out)}
     assert set(evidence.masks.view_names) == names
     place = [float(x) for x in re.findall(r"at \(([^)]+)\)", printed)[0].split(", ")]
     assert np.linalg.norm(np.subtract(place, center(demo, "red vase"))) < 0.05
 
 
-def test_classes_are_columns_and_colours(demo: Story, capsys: Capture) -> None:
+def test_classes_are_columns_and_colours(demo, capsys):
     printed = run("08", capsys)
     saved = ds.read_gaussians("classes.ply")
     labels = saved.extra["class_id"]
@@ -181,7 +179,7 @@ def test_classes_are_columns_and_colours(demo: Story, capsys: Capture) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("fastapi") is None, reason="the extra drsplat[serve] is not installed")
-def test_asking_over_http(demo: Story, capsys: Capture) -> None:
+def test_asking_over_http(demo, capsys):
     with contextlib.closing(socket.socket()) as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
@@ -211,7 +209,7 @@ class BusyAtFirst(BaseHTTPRequestHandler):
     def log_message(self, *_: object) -> None: ...
 
 
-def test_a_busy_service_is_asked_again() -> None:
+def test_a_busy_service_is_asked_again():
     fetch = runpy.run_path(str(EXAMPLES["09"]))["fetch"]
     with HTTPServer(("127.0.0.1", 0), BusyAtFirst) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -225,7 +223,7 @@ def test_a_busy_service_is_asked_again() -> None:
 
 
 @pytest.mark.slow
-def test_a_page_has_scene_and_answers(demo: Story, capsys: Capture) -> None:
+def test_a_page_has_scene_and_answers(demo, capsys):
     printed = run("10", capsys)
     assert printed.splitlines()[:3] == ["red vase: 1 found", "couch: 1 found", "laptop: nothing found"]
     page = Path("page.html").read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ import make_gallery  # noqa: E402
 
 
 @pytest.mark.parametrize("name", make_gallery.SCENES)
-def test_what_is_asked_is_in_the_room_but_the_last(name: str) -> None:
+def test_what_is_asked_is_in_the_room_but_the_last(name):
     truth = make_gallery.read_truth(make_gallery.SCENES[name])
     *shown, absent = make_gallery.queries_of(make_gallery.SCENES[name], truth)
     assert len(shown) == make_gallery.NUM_QUERIES
@@ -24,13 +24,13 @@ def test_what_is_asked_is_in_the_room_but_the_last(name: str) -> None:
     assert len(truth.held_out) >= 3
 
 
-def test_the_demo_is_asked_for_what_is_large() -> None:
+def test_the_demo_is_asked_for_what_is_large():
     source = make_gallery.SCENES["demo"]
     asked = make_gallery.queries_of(source, make_gallery.read_truth(source))
     assert {"orange sofa", "red vase"} <= set(asked)
 
 
-def test_a_page_and_its_picture(tmp_path: Path) -> None:
+def test_a_page_and_its_picture(tmp_path):
     scene = boxes_scene()
     told = make_gallery.entry("boxes", scene, ["red mug", "tall lamp", "elephant"], tmp_path)
     assert told["matches"] == {"red mug": 1, "tall lamp": 1, "elephant": 0}
@@ -44,7 +44,7 @@ def test_a_page_and_its_picture(tmp_path: Path) -> None:
     assert make_gallery.read_list(tmp_path) == []
 
 
-def test_a_page_is_made_again_when_the_package_has_changed(tmp_path: Path) -> None:
+def test_a_page_is_made_again_when_the_package_has_changed(tmp_path):
     package, page = tmp_path / "package", tmp_path / "page.html"
     (package / "__pycache__").mkdir(parents=True)
     for number, file in enumerate((package / "a.py", page, package / "__pycache__/a.pyc"), 1):

@@ -81,7 +81,7 @@ def parameters(thing: Any) -> list[str]:
 
 
 def verbs() -> dict[str, argparse.ArgumentParser]:
-    return next(action.choices for action in make_parser()._actions if action.choices)  # type: ignore[return-value]
+    return next(action.choices for action in make_parser()._actions if action.choices)
 
 
 def options() -> Iterator[str]:
@@ -152,7 +152,7 @@ def tools(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
         return asyncio.run(make_server(SceneFolder(folder), bench, Limits()).list_tools())
 
 
-def test_the_glossary_names_what_is_retired() -> None:
+def test_the_glossary_names_what_is_retired():
     assert {"segments", "thing", "instance", "question", "asked", "found", "unwanted"} <= retired()
     terms = re.findall(r"^\| ([^|]+) \|", GLOSSARY.read_text(), re.MULTILINE)
     terms = [term for term in terms if term != "term"]
@@ -163,49 +163,49 @@ def test_the_glossary_names_what_is_retired() -> None:
 @pytest.mark.parametrize(
     "name", ["segment_id", "num_segments", "Segments", "--things", "found", "asked_for", "instance_index", "ThingCount"]
 )
-def test_it_can_fail(name: str) -> None:
+def test_it_can_fail(name):
     assert offenders([name], retired()) == {name}
 
 
-def test_verbs_and_longer_words_may_stay() -> None:
+def test_verbs_and_longer_words_may_stay():
     assert not offenders(
         ["segment", "load_segmenter", "Segmentation", "nothing", "find_scene_up"[5:], "foundry"], retired()
     )
 
 
-def test_public_names() -> None:
+def test_public_names():
     assert not offenders(public_names(), retired())
 
 
-def test_options() -> None:
+def test_options():
     assert {"--threshold", "--min-gaussians"} <= set(options())
     assert not offenders(options(), retired())
 
 
-def test_verbs_have_no_second_name() -> None:
+def test_verbs_have_no_second_name():
     assert set(verbs()) == set(VERBS)
 
 
-def test_json_keys() -> None:
+def test_json_keys():
     keys = set(json_keys())
     assert {"num_matches", "num_masks", "threshold_rule"} <= keys
     assert not offenders(keys - THEIRS, retired())
 
 
-def test_http(openapi: dict[str, Any]) -> None:
+def test_http(openapi):
     keys = set(schema_keys(openapi))
     assert {"matches", "top", "view"} <= keys
     routes = [part for path in openapi["paths"] for part in path.split("/") if part]
     assert not offenders([*keys, *routes], retired())
 
 
-def test_language_models(tools: list[Any]) -> None:
+def test_language_models(tools):
     names = {key for tool in tools for key in schema_keys([tool.input_schema, tool.output_schema])}
     assert {"text", "matches", "top"} <= names
     assert not offenders([*names, *(tool.name for tool in tools)], retired())
 
 
-def test_headings_and_options_of_documents() -> None:
+def test_headings_and_options_of_documents():
     for document in DOCUMENTS:
         text = document.read_text(encoding="utf-8")
         plain = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
@@ -217,13 +217,13 @@ def test_headings_and_options_of_documents() -> None:
 
 
 @pytest.mark.parametrize(("option", "text"), list(helps()), ids=[option for option, _ in helps()])
-def test_helps_begin_with_a_noun_or_a_verb(option: str, text: str) -> None:
+def test_helps_begin_with_a_noun_or_a_verb(option, text):
     first = re.split(r"[\s,:;]", text)[0]
     assert re.match(r"[A-Za-z{.]", first), f"{option}: {text}"
     assert first.lower() not in NO_BEGINNING, f"{option}: {text}"
 
 
-def test_nobody_speaks_of_things(openapi: dict[str, Any], tools: list[Any]) -> None:
+def test_nobody_speaks_of_things(openapi, tools):
     told = [text for _, text in helps()] + [parser.description or "" for parser in verbs().values()]
     told += [*descriptions(openapi), *(tool.description or "" for tool in tools)]
     told += [text for tool in tools for text in descriptions([tool.input_schema, tool.output_schema])]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import shtab
 
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import answer_of, error_of, text_of
 from drsplat import cli
 from drsplat.cli import VERBS, main, make_parser
 from drsplat.fronts.commands.parsing import VerbParser
@@ -31,7 +31,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_version_says_build_and_instruction_set(capsys: Capture) -> None:
+def test_version_says_build_and_instruction_set(capsys):
     lines = text_of(capsys, "--version").splitlines()
     assert re.fullmatch(r"drsplat \d+\.\d+\.\d+\S*", lines[0])
     assert re.fullmatch(r"native code by (GCC|Clang) \d.*, \w+ of " + ", ".join(available_isas()), lines[2])
@@ -39,7 +39,7 @@ def test_version_says_build_and_instruction_set(capsys: Capture) -> None:
 
 @pytest.mark.parametrize("flag", ["--help", "--help-all"])
 @pytest.mark.parametrize("verb", VERBS)
-def test_help_fits_in_80_columns(verb: str, flag: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_help_fits_in_80_columns(verb, flag, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     text = text_of(capsys, verb, flag)
     assert [line for line in text.splitlines() if len(line) > 80] == []
@@ -55,7 +55,7 @@ def commands_in(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_help_is_short_and_tells_of_the_rest(verb: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_help_is_short_and_tells_of_the_rest(verb, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     short, long = text_of(capsys, verb, "--help"), text_of(capsys, verb, "--help-all")
     assert len(short.splitlines()) <= 50
@@ -69,7 +69,7 @@ def test_help_is_short_and_tells_of_the_rest(verb: str, monkeypatch: pytest.Monk
     assert f"{len(flags - shown) - 2} more options: drsplat {verb} --help-all" in short  # but --help and --help-all
 
 
-def test_help_lists_the_verbs_in_groups(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_help_lists_the_verbs_in_groups(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     text = text_of(capsys, "--help")
     assert [line for line in text.splitlines() if len(line) > 80] == []
@@ -104,13 +104,11 @@ def test_help_lists_the_verbs_in_groups(monkeypatch: pytest.MonkeyPatch, capsys:
         ("edit room --move 1 2", "argument --move: expected 3 values: X Y Z"),
     ],
 )
-def test_a_slip_of_the_fingers_is_named(line: str, fault: str, capsys: Capture) -> None:
+def test_a_slip_of_the_fingers_is_named(line, fault, capsys):
     assert fault in error_of(capsys, *line.split(), code=2)
 
 
-def test_options_come_from_a_file_and_those_given_count(
-    room: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_options_come_from_a_file_and_those_given_count(room, monkeypatch, capsys):
     monkeypatch.chdir(room)
     assert main(["register", "scene.ply", "capture", "--config", "drsplat.toml", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["field"] == "made.field"
@@ -130,7 +128,7 @@ def test_options_come_from_a_file_and_those_given_count(
         ("[register", "expected TOML"),
     ],
 )
-def test_a_file_that_cannot_be_meant_is_refused(room: Path, text: str, fault: str, capsys: Capture) -> None:
+def test_a_file_that_cannot_be_meant_is_refused(room, text, fault, capsys):
     (room / "bad.toml").write_text(text)
     assert fault in error_of(capsys, "register", "a.ply", "b", "--features", "c", "--config", str(room / "bad.toml"))
     error = error_of(capsys, "doctor", "--config", str(room / "none.toml"))
@@ -139,19 +137,19 @@ def test_a_file_that_cannot_be_meant_is_refused(room: Path, text: str, fault: st
 
 
 def verb_parser(verb: str) -> VerbParser:
-    parser = make_parser([verb])._subparsers._group_actions[0].choices[verb]  # type: ignore[union-attr, index]
+    parser = make_parser([verb])._subparsers._group_actions[0].choices[verb]
     assert isinstance(parser, VerbParser)
     return parser
 
 
-def test_every_verb_has_the_habits() -> None:
+def test_every_verb_has_the_habits():
     for name in VERBS:
         assert {"--config", "--print-config", "--log", "--json"} <= {
             flag for option in verb_parser(name).options for flag in option.option_strings
         }
 
 
-def test_the_log_has_what_was_said(tmp_path: Path, capsys: Capture) -> None:
+def test_the_log_has_what_was_said(tmp_path, capsys):
     log = tmp_path / "said.log"
     for _ in range(2):
         assert main(["inspect", str(tmp_path / "nothing"), "--log", str(log)]) == 1
@@ -163,7 +161,7 @@ def test_the_log_has_what_was_said(tmp_path: Path, capsys: Capture) -> None:
     assert main(["doctor", "--log", str(tmp_path / "no/folder")]) == 1
 
 
-def test_the_log_cannot_be_forged(tmp_path: Path, capsys: Capture) -> None:
+def test_the_log_cannot_be_forged(tmp_path, capsys):
     log = tmp_path / "said.log"
     error_of(capsys, "inspect", "no\n2026 forged \x1b[2J", f"--log={log}")
     assert "\x1b" not in log.read_text()
@@ -172,19 +170,19 @@ def test_the_log_cannot_be_forged(tmp_path: Path, capsys: Capture) -> None:
     assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", line) for line in rest)
 
 
-def test_a_log_is_no_pipe(tmp_path: Path, capsys: Capture) -> None:
+def test_a_log_is_no_pipe(tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe")
     assert "expected a file, this is a pipe" in error_of(capsys, "doctor", "--log", tmp_path / "pipe")
 
 
-def test_the_last_log_counts(tmp_path: Path, capsys: Capture) -> None:
+def test_the_last_log_counts(tmp_path, capsys):
     first, last = tmp_path / "first.log", tmp_path / "last.log"
     error_of(capsys, "inspect", tmp_path / "none", "--log", first, f"--log={last}", "--", "--log=x", code=2)
     assert [path.name for path in tmp_path.iterdir()] == ["last.log"]
 
 
 @pytest.mark.slow
-def test_without_a_terminal_nothing_is_coloured(room: Path) -> None:
+def test_without_a_terminal_nothing_is_coloured(room):
     for environment in ({}, {"NO_COLOR": "1", "FORCE_COLOR": "1"}):
         done = subprocess.run(
             [sys.executable, "-m", "drsplat", "inspect", "scene.ply"], cwd=room, env={**os.environ, **environment},
@@ -194,7 +192,7 @@ def test_without_a_terminal_nothing_is_coloured(room: Path) -> None:
         assert b"\x1b" not in done.stderr
 
 
-def test_completion_knows_verbs_and_options(capsys: Capture) -> None:
+def test_completion_knows_verbs_and_options(capsys):
     script = text_of(capsys, "--print-completion", "bash")
     assert all(verb in script for verb in VERBS)
     assert "--vocabulary" in script
@@ -202,7 +200,7 @@ def test_completion_knows_verbs_and_options(capsys: Capture) -> None:
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
-def test_fish_completes_verbs_options_and_choices(tmp_path: Path, capsys: Capture) -> None:
+def test_fish_completes_verbs_options_and_choices(tmp_path, capsys):
     (tmp_path / "drsplat.fish").write_text(text_of(capsys, "--print-completion", "fish"))
 
     def completed(line: str) -> set[str]:
@@ -216,7 +214,7 @@ def test_fish_completes_verbs_options_and_choices(tmp_path: Path, capsys: Captur
     assert completed("drsplat locate --box ") >= {"upright", "free"}
 
 
-def test_a_shell_that_shtab_does_not_know_is_named(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_a_shell_that_shtab_does_not_know_is_named(monkeypatch, capsys):
     assert "expected bash, zsh, tcsh, fish, got 'ksh'" in error_of(capsys, "--print-completion", "ksh", code=2)
     monkeypatch.setattr(shtab, "SUPPORTED_SHELLS", ["bash"])
     assert 'pip install -U "shtab>=1.9.3"' in error_of(capsys, "--print-completion", "fish")
@@ -249,9 +247,7 @@ def stopped(module: str, name: str, *argv: object) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
-def test_ctrl_c_in_embed_says_how_to_go_on_and_it_does(
-    room: Path, tmp_path: Path, overwrite: list[str], capsys: Capture
-) -> None:
+def test_ctrl_c_in_embed_says_how_to_go_on_and_it_does(room, tmp_path, overwrite, capsys):
     argv = ["embed", room / "capture", "--segmenter", "graph", "--encoder", "drsplat-mini", "-o", tmp_path / "made"]
     if overwrite:
         answer_of(capsys, *argv)
@@ -262,7 +258,7 @@ def test_ctrl_c_in_embed_says_how_to_go_on_and_it_does(
     assert (answer["num_photos"], answer["num_photos_reused"]) == (4, 2)
 
 
-def test_ctrl_c_in_register_says_how_to_go_on(room: Path, tmp_path: Path) -> None:
+def test_ctrl_c_in_register_says_how_to_go_on(room, tmp_path):
     argv = ["register", room / "scene.ply", room / "capture", "--features", room / "capture/language_features"]
     argv += ["--encoder-name", "drsplat-words", "-o", tmp_path / "a.field"]
     said = stopped("field.evidence.aggregation.record", "view_weights", *argv)
@@ -270,7 +266,7 @@ def test_ctrl_c_in_register_says_how_to_go_on(room: Path, tmp_path: Path) -> Non
     assert len(list((tmp_path / "a.field.parts").glob("*.columns.safetensors"))) == 2
 
 
-def test_a_stopped_demo_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_a_stopped_demo_goes_on(tmp_path, monkeypatch, capsys):
     """Without embedding again what it has embedded; a folder of another origin is refused."""
     monkeypatch.chdir(tmp_path)
 
@@ -291,7 +287,7 @@ def test_a_stopped_demo_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     assert "exists already" in error_of(capsys, "demo", "-o", "here")
 
 
-def test_the_documented_exit_codes_are_the_ones() -> None:
+def test_the_documented_exit_codes_are_the_ones():
     table = SETTINGS.partition("## Exit codes")[2].partition("\n## ")[0]
     documented = [int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)]
     assert documented == [0, cli.FAILED, cli.MISUSED, cli.INTERRUPTED, cli.PIPE_CLOSED]

@@ -9,7 +9,7 @@ from known_parts import divide, search_parts
 
 
 @pytest.mark.slow
-def test_parts_of_the_shipped_scene_are_found_again() -> None:
+def test_parts_of_the_shipped_scene_are_found_again():
     folder = Path(ds.__file__).parent / "evaluation/demo/scene"
     gaussians = ds.read_gaussians(folder / "scene.compressed.ply")
     views = [view.resized(240, 180) for view in ds.read_views(folder)[::2]]

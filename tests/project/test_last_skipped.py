@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -30,7 +29,7 @@ NEVER_SKIPPED = "open('imported.txt', 'a').close()\ndef test_runs(): pass"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("processes", [0, 1])
-def test_last_skipped_runs_what_was_skipped(tmp_path: Path, processes: int) -> None:
+def test_last_skipped_runs_what_was_skipped(tmp_path, processes):
     texts = {
         "conftest": CONFTEST, "test_half": HALF_SKIPPED, "test_whole": SKIPPED_WHOLE, "test_fine": NEVER_SKIPPED,
     }  # fmt: skip

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from drsplat import open_scene
-from drsplat.evaluation.demo.story import Story
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -24,7 +23,7 @@ def source(cell: dict[str, Any]) -> str:
 
 
 @pytest.mark.parametrize("path", make_notebooks.examples(), ids=lambda path: path.stem)
-def test_a_notebook_has_prose_cells_and_a_picture(path: Path) -> None:
+def test_a_notebook_has_prose_cells_and_a_picture(path):
     title, first, *cells = make_notebooks.notebook(path)["cells"]
     assert source(title).startswith("# ")
     assert first["cell_type"] == "markdown"
@@ -40,12 +39,12 @@ def test_a_notebook_has_prose_cells_and_a_picture(path: Path) -> None:
         compile(text, path.name, "exec")
 
 
-def test_a_notebook_for_each_example(tmp_path: Path) -> None:
+def test_a_notebook_for_each_example(tmp_path):
     made = make_notebooks.write(tmp_path, make_notebooks.examples())
     assert [path.stem for path in made] == [path.stem for path in make_notebooks.examples()]
 
 
-def test_cells_run_as_the_example_does(tmp_path: Path) -> None:
+def test_cells_run_as_the_example_does(tmp_path):
     example = tmp_path / "00_add.py"
     example.write_text('"""Adds.\n\nTwice."""\n\nA = 2\n\n\ndef main(b: int = 3, *more: int) -> None:\n'
                        '    # %% Adds\n    # them.\n    total = A + b + sum(more)\n\n    # %% Prints.\n'
@@ -64,14 +63,14 @@ def test_cells_run_as_the_example_does(tmp_path: Path) -> None:
     assert said.getvalue() == "5\n"
 
 
-def test_they_are_notebooks_to_others_too(tmp_path: Path) -> None:
+def test_they_are_notebooks_to_others_too(tmp_path):
     nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
     for path in make_notebooks.write(tmp_path, [*make_notebooks.examples(), *make_notebooks.of_docs()]):
         nbformat.validate(nbformat.read(path, 4))
 
 
 @pytest.mark.parametrize("path", make_notebooks.of_docs(), ids=lambda path: path.stem)
-def test_notebooks_of_the_docs_are_their_sources_with_outputs(path: Path) -> None:
+def test_notebooks_of_the_docs_are_their_sources_with_outputs(path):
     """Executed, without an error, and with a picture; `make_notebooks.py FOLDER --run --docs` makes them again."""
     kept = json.loads((make_notebooks.PAGES / f"{path.stem}.ipynb").read_text(encoding="utf-8"))
     made = make_notebooks.notebook(path)
@@ -88,7 +87,7 @@ def test_notebooks_of_the_docs_are_their_sources_with_outputs(path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", make_notebooks.of_docs(), ids=lambda path: path.stem)
-def test_notebooks_of_the_docs_run(path: Path, household_story: Story, household_folder: Path, tmp_path: Path) -> None:
+def test_notebooks_of_the_docs_run(path, household_story, household_folder, tmp_path):
     """As a reader runs them, in a folder with the demo's; they find the vase, and say where."""
     for name in ("nbclient", "ipykernel"):
         pytest.importorskip(name, reason="nbclient and ipykernel are not installed")

@@ -12,7 +12,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 import matrix  # noqa: E402
 
 
-def test_the_oldest_are_the_lower_bounds() -> None:
+def test_the_oldest_are_the_lower_bounds():
     pins = {Requirement(one).name: Requirement(one).specifier for one in matrix.lowest()}
     needed = [Requirement(one) for one in matrix.project()["dependencies"]]
     assert set(pins) == {one.name for one in needed}
@@ -22,7 +22,7 @@ def test_the_oldest_are_the_lower_bounds() -> None:
         assert one.specifier.contains(Version(bound.version))
 
 
-def test_every_extra_has_a_cell() -> None:
+def test_every_extra_has_a_cell():
     extras = set(matrix.project()["optional-dependencies"]) - {"dev", "contributing"}
     cells = list(matrix.cells(["python3.11", "python3.12"]))
     assert {cell.extra for cell in cells} - {""} == extras
@@ -31,11 +31,11 @@ def test_every_extra_has_a_cell() -> None:
 
 
 @pytest.mark.parametrize("file", matrix.QUICK)
-def test_what_is_run_exists(file: str) -> None:
+def test_what_is_run_exists(file):
     assert (ROOT / file).exists()
 
 
-def test_what_cannot_be_had_is_said(tmp_path: Path) -> None:
+def test_what_cannot_be_had_is_said(tmp_path):
     told = matrix.run(matrix.Cell(str(tmp_path / "python9")), tmp_path)
     assert told["result"] == "not to be had"
     assert "python9" in str(told["why"])

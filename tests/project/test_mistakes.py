@@ -7,20 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from command_line import Capture
 from drsplat.cli import main
 from drsplat.errors import did_you_mean
 from drsplat.formats.scenes import Kind, recognised
 from toy_capture import write_toy_capture
 
 
-def test_what_is_near_is_suggested() -> None:
+def test_what_is_near_is_suggested():
     assert did_you_mean("Vaze", ["mug", "Vase"]) == " Did you mean 'Vase'?"
     assert did_you_mean("lokate", ["locate", "view"]) == " Did you mean 'locate'?"
     assert did_you_mean("cup", ["cap", "cups"], most=1) == " Did you mean 'cups'?"
 
 
-def test_what_is_far_is_not() -> None:
+def test_what_is_far_is_not():
     assert did_you_mean("rote", ["carrot", "window"]) == ""
     assert did_you_mean("quantum", []) == ""
 
@@ -112,9 +111,7 @@ MISTAKES: list[tuple[tuple[str, ...], tuple[str, ...]]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("line", "said"), MISTAKES, ids=lambda part: " ".join(part)[:50])
-def test_the_answer_to_a_mistake_says_the_way_on(
-    line: tuple[str, ...], said: tuple[str, ...], things: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_the_answer_to_a_mistake_says_the_way_on(line, said, things, monkeypatch, capsys):
     if line[0] == "view":
         pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
     if {"sam", "clip"} & set(line):
@@ -128,14 +125,14 @@ def test_the_answer_to_a_mistake_says_the_way_on(
     assert len(error) < 420
 
 
-def test_photos_that_are_small_are_warned_of(things: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_photos_that_are_small_are_warned_of(things, tmp_path, capsys):
     argv = [things / "capture", "--resolution", "4", "--iterations", "1", "--output-dir", tmp_path / "model"]
     assert main(["train", *map(str, argv), "--device", "cpu"]) == 0
     assert "warning: photos of 24x18 pixels" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with a name")
-def test_a_pipe_is_recognised_without_waiting_for_its_writer(tmp_path: Path) -> None:
+def test_a_pipe_is_recognised_without_waiting_for_its_writer(tmp_path):
     os.mkfifo(tmp_path / "pipe.mp4")
     assert recognised(tmp_path / "pipe.mp4") is Kind.OTHER
     assert recognised(tmp_path / "nothing") is None

@@ -22,7 +22,7 @@ def outlines(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_thing_without_corners_was_not_outlined(outlines: Path) -> None:
+def test_a_thing_without_corners_was_not_outlined(outlines):
     assert {photo: sorted(things) for photo, things in read_outlines(outlines).items()} == {
         "a.jpg": ["cup", "pan"],
         "b.jpg": ["cup"],
@@ -30,9 +30,7 @@ def test_a_thing_without_corners_was_not_outlined(outlines: Path) -> None:
     assert outlined_in_part(outlines) == {"b.jpg"}
 
 
-def test_the_rest_of_a_photo_is_known_only_where_all_things_were_outlined(
-    outlines: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_rest_of_a_photo_is_known_only_where_all_things_were_outlined(outlines, monkeypatch):
     """Else a doll in a photo of which only the carrot was outlined counts as no thing."""
     camera = np.array([[10.0, 0, 5], [0, 10, 5], [0, 0, 1]])
     views = [View(name, camera, np.eye(4), 10, 10) for name in ("a.jpg", "b.jpg")]
@@ -43,7 +41,7 @@ def test_the_rest_of_a_photo_is_known_only_where_all_things_were_outlined(
     assert set(np.unique(known["b.jpg"])) == {0, places.UNKNOWN}
 
 
-def test_photos_of_the_captures_that_show_more_than_was_outlined() -> None:
+def test_photos_of_the_captures_that_show_more_than_was_outlined():
     assert len(outlined_in_part(outlines_path("plush"))) == 4
     assert outlined_in_part(outlines_path("brighton_beach")) == {"DJI_0033.JPG"}
     assert not outlined_in_part(outlines_path("desk_penguin"))

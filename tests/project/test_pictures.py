@@ -44,7 +44,7 @@ def demo(household_story: Story, household_folder: Path, tmp_path_factory: pytes
     return folder
 
 
-def test_pictures_of_the_demo_are_drawn_again_alike(demo: Path, tmp_path: Path) -> None:
+def test_pictures_of_the_demo_are_drawn_again_alike(demo, tmp_path):
     assert make_pictures.main([str(demo), str(tmp_path)]) == 0
     scene = ds.open_scene(demo)
     still = make_film.Film(scene, Highlight.of(scene, ds.Query(make_film.WORDS), boxes=True)).still()
@@ -56,16 +56,16 @@ def test_pictures_of_the_demo_are_drawn_again_alike(demo: Path, tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_pictures_of_edits_are_drawn_again_alike(demo: Path, tmp_path: Path) -> None:
+def test_pictures_of_edits_are_drawn_again_alike(demo, tmp_path):
     study_edits.main([str(demo), str(tmp_path / "edits.jpg"), "--side", "165"])
     assert mean_difference(IMAGES / "edits.jpg", tmp_path / "edits.jpg") < MOST_LEVELS
 
 
-def test_other_pictures_are_as_new_as_what_they_show() -> None:
+def test_other_pictures_are_as_new_as_what_they_show():
     assert pictures.older() == {}, "make them again, or look at them; then `python -m scripts.pictures NAME...`"
 
 
-def test_each_picture_is_held_in_one_way() -> None:
+def test_each_picture_is_held_in_one_way():
     there = {path.name for path in IMAGES.iterdir() if path.suffix in (".jpg", ".png", ".svg", ".webp")}
     ways = [DRAWN_AGAIN, SLOWLY, WITH_ITS_STILL, set(pictures.MADE)]
     assert there == set().union(*ways)
@@ -73,7 +73,7 @@ def test_each_picture_is_held_in_one_way() -> None:
     assert all(path.exists() for made in pictures.MADE.values() for path in made.inputs)
 
 
-def test_a_picture_becomes_older_by_code_and_not_by_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_becomes_older_by_code_and_not_by_words(tmp_path, monkeypatch):
     source, kept = tmp_path / "draw.py", tmp_path / "made.json"
     source.write_text('def draw():\n    "Draw."\n    return 1\n')
     monkeypatch.setattr(stamps, "ROOT", tmp_path)

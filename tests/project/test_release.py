@@ -16,7 +16,7 @@ WORKFLOWS = sorted((ROOT / ".github/workflows").glob("*.yml"))
 pytestmark = pytest.mark.skipif(not WORKFLOWS, reason="an sdist has no workflows")
 
 
-def test_the_version_stands_in_one_place() -> None:
+def test_the_version_stands_in_one_place():
     """And where it has to stand again, it is the same."""
     number = check_release.version()
     assert version("drsplat") == number == check_release.cited()
@@ -27,13 +27,13 @@ def test_the_version_stands_in_one_place() -> None:
     assert not named
 
 
-def test_a_tag_that_is_not_the_version_is_no_release(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tag_that_is_not_the_version_is_no_release(capsys):
     assert check_release.main(["v99.0.0"]) == 1
     assert "expected v" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.name)
-def test_a_workflow_runs_scripts_that_exist(workflow: Path) -> None:
+def test_a_workflow_runs_scripts_that_exist(workflow):
     text = workflow.read_text(encoding="utf-8")
     for name in re.findall(r"(?:scripts|containers|tests)/[\w./]+\w", text):
         assert (ROOT / name).exists(), name
@@ -42,7 +42,7 @@ def test_a_workflow_runs_scripts_that_exist(workflow: Path) -> None:
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.name)
-def test_actions_are_named_by_commit_and_keep_no_credentials(workflow: Path) -> None:
+def test_actions_are_named_by_commit_and_keep_no_credentials(workflow):
     """A tag or a branch of an action may be moved by whoever takes its repository."""
     text = workflow.read_text(encoding="utf-8")
     used = re.findall(r"uses: (?!\./)(.+)", text)
@@ -50,7 +50,7 @@ def test_actions_are_named_by_commit_and_keep_no_credentials(workflow: Path) -> 
     assert text.count("actions/checkout@") == text.count("{ persist-credentials: false }")
 
 
-def test_extras_that_workflows_install_exist() -> None:
+def test_extras_that_workflows_install_exist():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     named = {extra for path in WORKFLOWS for group in re.findall(r"\"\.?\[([\w,]+)\]", path.read_text()) for extra in
              group.split(",")}  # fmt: skip

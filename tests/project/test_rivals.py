@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 torch = pytest.importorskip("torch")
 
@@ -34,7 +35,7 @@ def two_balls() -> tuple[ds.Gaussians, Photos]:
     return gaussians, photos_of(gaussians, seen)
 
 
-def test_what_is_blended_is_what_is_rendered() -> None:
+def test_what_is_blended_is_what_is_rendered():
     gaussians, view = random_gaussians(40, seed=3), look_at_view((0.0, -6.0, 1.0), width=64, height=48)
     everywhere = np.zeros((view.height, view.width), np.int32)
     embeddings = np.eye(1, 8, dtype=np.float32)
@@ -43,10 +44,10 @@ def test_what_is_blended_is_what_is_rendered() -> None:
     image, _, _ = render_channels(splat_arrays(gaussians), view, values)
     found = blended(photos.photos[0], torch.from_numpy(values)).numpy()
     assert (photos.photos[0].weights.crow_indices().diff() < CONTRIBUTORS).all(), "nothing is cut off"
-    np.testing.assert_allclose(found, image.reshape(-1, 5), atol=2e-5)
+    assert_allclose(found, image.reshape(-1, 5), atol=2e-5)
 
 
-def test_gradients_are_those_of_the_blending() -> None:
+def test_gradients_are_those_of_the_blending():
     """<A x, g> = <x, A^T g> for any x and g."""
     gaussians, view = random_gaussians(60, seed=4), look_at_view((3.0, -5.0, 1.0), width=48, height=40)
     seen = {view: ds.ViewFeatures(np.zeros((40, 48), np.int32), np.eye(1, 8, dtype=np.float32))}
@@ -62,7 +63,7 @@ def test_gradients_are_those_of_the_blending() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FITTED)
-def test_a_rival_fits_what_it_says_and_tells_two_balls_apart(name: str, two_balls: tuple[ds.Gaussians, Photos]) -> None:
+def test_a_rival_fits_what_it_says_and_tells_two_balls_apart(name, two_balls):
     gaussians, photos = two_balls
     made = make(name, gaussians, photos, EFFORTS[name])
     for stage, losses in made.losses.items():
@@ -70,7 +71,7 @@ def test_a_rival_fits_what_it_says_and_tells_two_balls_apart(name: str, two_ball
     first, last = (made.losses[next(iter(made.losses))][at] for at in (0, -1))
     assert last < 0.7 * first
     known = np.isfinite(made.features).all(axis=1)
-    np.testing.assert_array_equal(known, photos.seen)
+    assert_array_equal(known, photos.seen)
     named = known & (np.nan_to_num(made.features) != 0).any(axis=1)  # leaves of few pixels take no mask's embedding
     assert named.sum() > 0.3 * known.sum()
     cosines = made.features[named] @ ds.WordEncoder().encode_texts(list(THINGS)).T
@@ -123,9 +124,7 @@ def found_stripes(features: np.ndarray) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [LANGSPLAT, LEGAUSSIANS])
-def test_fitting_beats_the_mean_where_gaussians_overlap(
-    name: str, stripes: tuple[ds.Gaussians, dict[ds.View, ds.ViewFeatures]]
-) -> None:
+def test_fitting_beats_the_mean_where_gaussians_overlap(name, stripes):
     gaussians, seen = stripes
     registration = ds.register(gaussians, list(seen), {view.name: features for view, features in seen.items()})
     mean = registration.evidence.rows(np.arange(ROWS**2)).features(0, ROWS**2)
@@ -135,18 +134,18 @@ def test_fitting_beats_the_mean_where_gaussians_overlap(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FITTED)
-def test_the_same_fit_gives_the_same_bits(name: str, two_balls: tuple[ds.Gaussians, Photos]) -> None:
+def test_the_same_fit_gives_the_same_bits(name, two_balls):
     first, second = (make(name, *two_balls, 0.001).features for _ in range(2))
-    np.testing.assert_array_equal(first, second)
+    assert_array_equal(first, second)
 
 
 @pytest.mark.slow
-def test_more_steps_fit_better(two_balls: tuple[ds.Gaussians, Photos]) -> None:
+def test_more_steps_fit_better(two_balls):
     few, many = (langsplat.fit(two_balls[1], langsplat.Settings(2, 20, steps=n)).losses[-1] for n in (20, 400))
     assert many < few
 
 
-def test_contrast_is_least_where_masks_are_uniform_and_far_apart(two_balls: tuple[ds.Gaussians, Photos]) -> None:
+def test_contrast_is_least_where_masks_are_uniform_and_far_apart(two_balls):
     gaussians, photos = two_balls
     apart = torch.zeros(len(gaussians), 6)
     apart[:PER_THING, 0], apart[PER_THING:, 0] = 1.0, -1.0
@@ -155,7 +154,7 @@ def test_contrast_is_least_where_masks_are_uniform_and_far_apart(two_balls: tupl
     assert best < worse
 
 
-def test_clusters_are_those_of_far_groups() -> None:
+def test_clusters_are_those_of_far_groups():
     groups = torch.cat([torch.randn(50, 3) * 0.01 + 10 * k for k in range(3)])
     found = opengaussian.clusters(groups, 3, seed=1)
     assert len({tuple(found[50 * k : 50 * (k + 1)].unique().tolist()) for k in range(3)}) >= 2

@@ -23,7 +23,7 @@ import make_gallery  # noqa: E402
 CONTRAST = (ROOT / "tests/support/contrast.js").read_text(encoding="utf-8").partition("\n")[2]
 
 
-def test_a_dead_link_is_found(tmp_path: Path) -> None:
+def test_a_dead_link_is_found(tmp_path):
     (tmp_path / "deeper").mkdir()
     (tmp_path / "index.html").write_text(
         '<a href="deeper/a.html#here"></a><a href="deeper/a.html#gone"></a><img src="no.png"><a href="https://x.org">'
@@ -58,7 +58,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_site_is_built_and_its_links_lead_somewhere(site: Path) -> None:
+def test_the_site_is_built_and_its_links_lead_somewhere(site):
     assert check_links.dead(site) == []
     pages = {path.relative_to(site).as_posix() for path in site.rglob("*.html")}
     assert {"index.html", "404.html", "reference/http.html", "reference/mcp.html", "gallery/demo.html"} <= pages
@@ -88,7 +88,7 @@ for make in ("examples", "benchmarks", "python_names", "command_line", "http", "
 
 
 @pytest.mark.slow
-def test_pages_are_made_with_the_extra_of_the_site_alone() -> None:
+def test_pages_are_made_with_the_extra_of_the_site_alone():
     for name in ("mkdocs", "fastapi", "mcp"):
         pytest.importorskip(name, reason="needs drsplat[docs]")
     done = subprocess.run([sys.executable, "-c", ONLY_DOCS], cwd=ROOT, capture_output=True, text=True, check=False)
@@ -96,7 +96,7 @@ def test_pages_are_made_with_the_extra_of_the_site_alone() -> None:
 
 
 @pytest.mark.slow
-def test_there_is_no_site_without_a_gallery(tmp_path: Path) -> None:
+def test_there_is_no_site_without_a_gallery(tmp_path):
     pytest.importorskip("mkdocs", reason="needs drsplat[docs]")
     done = built(tmp_path, tmp_path / "site")
     assert done.returncode != 0
@@ -104,7 +104,7 @@ def test_there_is_no_site_without_a_gallery(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_front_page_has_the_numbers_of_the_evaluation(site: Path) -> None:
+def test_the_front_page_has_the_numbers_of_the_evaluation(site):
     page = (site / "index.html").read_text()
     shown = re.findall(r"<b>([\d ]+%)[^<]*</b>", page)
     sentence = (ROOT / "docs/evaluation.md").read_text().partition("- Asked for a word")[2].partition("- ")[0]
@@ -112,7 +112,7 @@ def test_the_front_page_has_the_numbers_of_the_evaluation(site: Path) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+def test_nothing_is_loaded_from_elsewhere(site):
     for path in site.rglob("*.html"):
         text = path.read_text()
         assert re.findall(r"<(?:script|img|iframe|source)[^>]+(?:src|srcset)=[\"']?(?:https?:)?//[^>]*>", text) == []
@@ -122,7 +122,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
 
 
 @pytest.mark.slow
-def test_links_are_shown_with_a_card(site: Path) -> None:
+def test_links_are_shown_with_a_card(site):
     page = (site / "tasks.html").read_text()
     names = re.search(r'property="?og:image"? content="?([^">\s]+)', page)
     assert names
@@ -132,7 +132,7 @@ def test_links_are_shown_with_a_card(site: Path) -> None:
     assert "summary_large_image" in page
 
 
-def test_the_film_is_short_small_and_has_a_still() -> None:
+def test_the_film_is_short_small_and_has_a_still():
     film = ROOT / "docs/images/tour.webp"
     assert film.stat().st_size < 1.5e6
     with Image.open(film) as pictures, Image.open(ROOT / "docs/images/tour.jpg") as still:
@@ -171,7 +171,7 @@ def opened(browser: Any, page: Path, **settings: Any) -> Iterator[Any]:
 
 @pytest.mark.slow
 @needs_chromium
-def test_the_search_works_in_a_folder(browser: Any, site: Path) -> None:
+def test_the_search_works_in_a_folder(browser, site):
     for name in ("index.html", "tutorials/from_a_phone.html"):
         with opened(browser, site / name) as page:
             page.wait_for_function("window.__index")  # else what is typed is not looked for
@@ -184,7 +184,7 @@ def test_the_search_works_in_a_folder(browser: Any, site: Path) -> None:
 
 @pytest.mark.slow
 @needs_chromium
-def test_the_demo_starts_when_it_is_asked_for(browser: Any, site: Path) -> None:
+def test_the_demo_starts_when_it_is_asked_for(browser, site):
     with opened(browser, site / "index.html") as page:
         assert page.locator("iframe[src]").count() == 0
         page.click(".live button")
@@ -193,7 +193,7 @@ def test_the_demo_starts_when_it_is_asked_for(browser: Any, site: Path) -> None:
 
 @pytest.mark.slow
 @needs_chromium
-def test_who_wants_no_motion_sees_a_still(browser: Any, site: Path) -> None:
+def test_who_wants_no_motion_sees_a_still(browser, site):
     for motion, name in (("reduce", "tour.jpg"), ("no-preference", "tour.webp")):
         with opened(browser, site / "index.html", reduced_motion=motion) as page:
             assert page.evaluate("document.querySelector('.hero img').currentSrc").endswith(name)
@@ -202,7 +202,7 @@ def test_who_wants_no_motion_sees_a_still(browser: Any, site: Path) -> None:
 @pytest.mark.slow
 @needs_chromium
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_texts_differ_from_what_is_behind_them(browser: Any, site: Path, scheme: str) -> None:
+def test_texts_differ_from_what_is_behind_them(browser, site, scheme):
     for name in ("index", "overview", "evaluation", "api", "reference/python", "examples", "404"):
         with opened(browser, site / f"{name}.html", color_scheme=scheme) as page:
             found = page.evaluate(CONTRAST)
@@ -211,7 +211,7 @@ def test_texts_differ_from_what_is_behind_them(browser: Any, site: Path, scheme:
 
 
 @needs_chromium
-def test_faint_texts_are_found(browser: Any, tmp_path: Path) -> None:
+def test_faint_texts_are_found(browser, tmp_path):
     (tmp_path / "a.html").write_text(
         '<body style="background:#fff"><p style="color:#777">a<p style="color:#767676">b'
         '<p style="color:#949494;font-size:24px">c<p style="color:#959595;font-size:24px">d'
@@ -225,7 +225,7 @@ def test_faint_texts_are_found(browser: Any, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @needs_chromium
-def test_it_is_read_on_a_phone(browser: Any, site: Path) -> None:
+def test_it_is_read_on_a_phone(browser, site):
     for name in ("index", "overview", "evaluation", "gallery", "formats", "404"):
         with opened(browser, site / f"{name}.html", viewport={"width": 390, "height": 844}) as page:
             assert page.evaluate("document.documentElement.scrollWidth") <= 390, name

@@ -66,9 +66,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_toy_capture(tmp_path_factory.mktemp("way"))
 
 
-def test_few_functions_lie_between_the_arguments_and_the_kernel(
-    capture: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_few_functions_lie_between_the_arguments_and_the_kernel(capture, capsys):
     scene, field = str(capture / "scene.ply"), str(capture / "room.field")
     options = ["--features", str(capture / "capture/language_features"), "--encoder-name", "drsplat-words"]
     register = ["register", scene, str(capture / "capture"), *options, "--output", field, "--code", "pq", "--json"]

@@ -33,3 +33,28 @@ def error_of(capsys: Capture, *argv: object, code: int = 1) -> str:
     assert out == ""
     assert err.startswith("drsplat: error: ")
     return err
+
+
+class Line:
+    """A command line that a test begins alike each time: called, it gives the JSON object of what is added."""
+
+    def __init__(self, capsys: Capture, *begin: object) -> None:
+        self.capsys, self.begin = capsys, begin
+
+    def __call__(self, *argv: object, code: int = 0) -> dict[str, Any]:
+        return answer_of(self.capsys, *self.begin, *argv, code=code)
+
+    def text(self, *argv: object) -> str:
+        return text_of(self.capsys, *self.begin, *argv)
+
+    def error(self, *argv: object, code: int = 1) -> str:
+        return error_of(self.capsys, *self.begin, *argv, code=code)
+
+    def notes(self, *argv: object) -> str:
+        """What a command that goes well says on stderr."""
+        self.capsys.readouterr()
+        assert main([*map(str, (*self.begin, *argv))]) == 0
+        return self.capsys.readouterr().err
+
+    def plus(self, *argv: object) -> "Line":
+        return Line(self.capsys, *self.begin, *argv)

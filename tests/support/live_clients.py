@@ -87,6 +87,12 @@ class Viewer:
         state: dict[str, Any] = answer.json()
         return state
 
+    def ask(self, text: str, **more: Any) -> dict[str, Any]:
+        return self.do("ask", text=text, **more)
+
+    def header(self) -> dict[str, Any]:
+        return dict(self.get("/view/header").json())
+
     def refused(self, act: str, status: int = 422, **given: Any) -> str:
         """Why an act is refused."""
         return error_of(self.post("/view/do", {"act": act, **given}), status)

@@ -114,7 +114,7 @@ def views(folder: Path, **options: Any) -> str:
 
 
 @case("captures", "sparse/0 with 3 of 20 photos, sparse/1 with all, binary", "20 views", "sparse/0 (3 photos)")
-def _(folder: Path) -> str:
+def _(folder):
     names = [f"{k:02}.png" for k in range(20)]
     capture(folder, *names, model="sparse/1")
     write_colmap_binary(folder / "sparse/0", CAMERA, images(*names[:3]))
@@ -122,112 +122,112 @@ def _(folder: Path) -> str:
 
 
 @case("captures", "the only model is sparse/merged", "2 views, 2 photos")
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, "a.png", "b.png", model="sparse/merged"))
 
 
 @case("captures", "the folder sparse is named, with 0 and 1 in it", "3 views, 3 photos", "sparse/1 (2 photos)")
-def _(folder: Path) -> str:
+def _(folder):
     capture(folder, "a.png", "b.png", "c.png")
     capture(folder, "a.png", "b.png", model="sparse/1")
     return views(folder / "sparse")
 
 
 @case("captures", "models 0 and 1 right beside images (COLMAP's own window)", "3 views, 3 photos", "/0 (2 photos)")
-def _(folder: Path) -> str:
+def _(folder):
     capture(folder, "a.png", "b.png", "c.png", model="1")
     capture(folder, "a.png", "b.png", model="0")
     return views(folder)
 
 
 @case("captures", "images.bin with 3 photos, images.txt beside it with 5", "3 views", "images.txt, with 5 photos")
-def _(folder: Path) -> str:
+def _(folder):
     names = [f"{k}.png" for k in range(5)]
     write_colmap_binary(capture(folder, *names) / "sparse/0", CAMERA, images(*names[:3]))
     return views(folder)
 
 
 @case("captures", "photos in input/, as 3DGS' convert.py has them", "1 views, 1 photos")
-def _(folder: Path) -> str:
+def _(folder):
     write_photo(folder / "input/a.png", W, H)
     return views(capture(folder, "a.png", files=()))
 
 
 @case("captures", "photos in Images/", "1 views, 1 photos")
-def _(folder: Path) -> str:
+def _(folder):
     write_photo(folder / "Images/a.png", W, H)
     return views(capture(folder, "a.png", files=()))
 
 
 @case("captures", "a model without its images", "InputError", "got cameras.txt", "expected both", "copy it whole")
-def _(folder: Path) -> str:
+def _(folder):
     (capture(folder, "a.png") / "sparse/0/images.txt").unlink()
     return views(folder)
 
 
 @case("captures", "a damaged first model: the sound one, and a word", "2 views", "sparse/0 (0 photos)")
-def _(folder: Path) -> str:
+def _(folder):
     capture(folder, "a.png", "b.png", model="sparse/1")
     (capture(folder, "a.png", "b.png", model="sparse/0") / "sparse/0/images.txt").write_text("1 no image\n")
     return views(folder)
 
 
 @case("captures", "two models of as many photos: the first, and a word of the other", "2 views", "sparse/1 (2 photos)")
-def _(folder: Path) -> str:
+def _(folder):
     capture(folder, "a.png", "b.png")
     capture(folder, "c.png", "d.png", model="sparse/1")
     return views(folder)
 
 
 @case("names", "photos in other case on disk", "2 views, 2 photos")
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, "IMG_1.JPG", "Img_2.jpg", files=("img_1.jpg", "IMG_2.JPG")))
 
 
 @case("names", "folders in other case on disk", "1 views, 1 photos")
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, "Cam0/a.png", files=("cam0/A.png",)))
 
 
 @case("names", "letters composed in the model, decomposed on disk (a Mac)", "1 views, 1 photos")
-def _(folder: Path) -> str:
+def _(folder):
     name = "Küche.png"
     return views(capture(folder, unicodedata.normalize("NFC", name), files=(unicodedata.normalize("NFD", name),)))
 
 
 @case("names", "PNG in the model, JPEG on disk", "2 views, 2 photos", "another suffix", "a.jpg for a.png")
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, "a.png", "b.png", files=("a.jpg", "b.JPG")))
 
 
 @case("names", "a.jpg and A.jpg in the model, one of them on disk: each photo once", "2 views, 1 photos", "A.jpg")
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, "a.jpg", "A.jpg", files=("a.jpg",)))
 
 
 @case("names", "two files that a name could mean: neither", "1 views, 0 photos", "no photo")
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, "IMG.png", files=("img.png", "Img.png")))
 
 
 @case("names", "a Windows drive in the model", "2 views, 2 photos, 0 masks: a.png, b.png")
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, r"C:\Users\me\room\a.png", r"C:\Users\me\room\b.png", files=("a.png", "b.png")))
 
 
 @case("names", "a Windows share with folders of cameras", "2 views, 2 photos", "cam0/a.png", "cam1/a.png")
-def _(folder: Path) -> str:
+def _(folder):
     names = (r"\\nas\scans\room\images\cam0\a.png", r"\\nas\scans\room\images\cam1\a.png")
     return views(capture(folder, *names, files=("cam0/a.png", "cam1/a.png")))
 
 
 @case("names", "names below the project: images/a.png", "1 views, 1 photos")
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, "images/a.png", files=("a.png",)))
 
 
 @case("names", "names without suffix, and two files of each", "1 views, 1 photos", "a.jpg of a.jpg, a.png is taken")
-def _(folder: Path) -> str:
+def _(folder):
     entry = {"width": W, "height": H, "position": [0, 0, 0], "rotation": np.eye(3).tolist(), "fx": 70, "fy": 70}
     write_json(folder / "cameras.json", [{"id": 0, "img_name": "a", **entry}])
     write_photo(folder / "images/a.png", W, H), write_photo(folder / "images/a.jpg", W, H)
@@ -235,7 +235,7 @@ def _(folder: Path) -> str:
 
 
 @case("names", "cameras.json of Windows", "2 views, 2 photos", "a.png, b.png")
-def _(folder: Path) -> str:
+def _(folder):
     entry = {"width": W, "height": H, "position": [0, 0, 0], "rotation": np.eye(3).tolist(), "fx": 70, "fy": 70}
     names = (r"D:\room\input\a", r"D:\room\input\b")
     write_json(folder / "cameras.json", [{"id": k, "img_name": name, **entry} for k, name in enumerate(names)])
@@ -244,7 +244,7 @@ def _(folder: Path) -> str:
 
 
 @case("names", "transforms.json of another machine, with masks", "2 views, 2 photos, 2 masks")
-def _(folder: Path) -> str:
+def _(folder):
     document = transforms_document(CAMERA, images("a.png", "b.png"))
     for frame in document["frames"]:
         name = frame["file_path"].split("/")[-1]
@@ -256,7 +256,7 @@ def _(folder: Path) -> str:
 
 
 @case("names", "COLMAP's text in UTF-16, as Notepad saves it", "1 views, 1 photos")
-def _(folder: Path) -> str:
+def _(folder):
     capture(folder, "a.png")
     for file in (folder / "sparse/0").iterdir():
         file.write_text(file.read_text(), encoding="utf-16")
@@ -264,7 +264,7 @@ def _(folder: Path) -> str:
 
 
 @case("names", "transforms.json in UTF-16", "1 views, 1 photos")
-def _(folder: Path) -> str:
+def _(folder):
     write_photo(folder / "images/a.png", W, H)
     text = json.dumps(transforms_document(CAMERA, images("a.png")))
     (folder / "transforms.json").write_text(text, encoding="utf-16")
@@ -279,12 +279,12 @@ def _(folder: Path) -> str:
     "expected a file name",
     "by its place",
 )
-def _(folder: Path) -> str:
+def _(folder):
     return views(capture(folder, r"C:\room\a.png", r"C:\room\..\..\b.png", files=()))
 
 
 @case("names", "features of photos and their times in other letters than the model's", "1 masks", "time 7.5")
-def _(folder: Path) -> str:
+def _(folder):
     capture(folder, "Küche/IMG_1.JPG", files=("küche/img_1.jpg",))
     write_features(folder / "features", "küche/img_1", np.zeros((4, H, W), np.int32), np.eye(1, 8, dtype=np.float32))
     (folder / "times.csv").write_text("name,time\nkÜche/img_1.jpg,7.5\n")
@@ -303,7 +303,7 @@ def photos(folder: Path) -> str:
 
 
 @case("photos", "thumbnails in a folder and by name", "4 photos", "8 files", "smaller copies")
-def _(folder: Path) -> str:
+def _(folder):
     for k in range(4):
         photo_of(folder, f"IMG_{k}.jpg", seed=k)
         photo_of(folder, f"thumbs/IMG_{k}.jpg", (64, 48), seed=k)
@@ -312,7 +312,7 @@ def _(folder: Path) -> str:
 
 
 @case("photos", "images_4 beside images", "3 photos", "3 files")
-def _(folder: Path) -> str:
+def _(folder):
     for k in range(3):
         photo_of(folder, f"images/{k}.png", seed=k)
         photo_of(folder, f"images_4/{k}.png", (64, 48), seed=k)
@@ -320,7 +320,7 @@ def _(folder: Path) -> str:
 
 
 @case("photos", "two cameras of a rig with files of the same names", "6 photos", absent=("aside",))
-def _(folder: Path) -> str:
+def _(folder):
     for k in range(3):
         photo_of(folder, f"wide/{k}.png", seed=k)
         photo_of(folder, f"tele/{k}.png", (64, 48), seed=10 + k)
@@ -328,7 +328,7 @@ def _(folder: Path) -> str:
 
 
 @case("photos", "masks and depth maps beside the photos", "3 photos, 3 masks", "6 files", "masks and maps")
-def _(folder: Path) -> str:
+def _(folder):
     for k in range(3):
         photo_of(folder, f"{k}.png", seed=k)
         Image.new("L", (256, 192), 255).save(folder / f"{k}.png.mask.png")
@@ -337,7 +337,7 @@ def _(folder: Path) -> str:
 
 
 @case("photos", "a photo of a mask, which is no mask of a photo", "2 photos, 0 masks", absent=("aside",))
-def _(folder: Path) -> str:
+def _(folder):
     photo_of(folder, "carnival_mask.png"), photo_of(folder, "street.png", seed=1)
     return photos(folder)
 
@@ -404,22 +404,22 @@ for _name, _keys, _words in LENSES:
 
 
 @case("lenses", "distortion_params of nerfstudio", "2 views", "(0.1, -0.02, 0.003, 0.004)")
-def _(folder: Path) -> str:
+def _(folder):
     return transforms(folder, frame={"distortion_params": [0.1, -0.02, 0, 0, 0.003, 0.004]})
 
 
 @case("lenses", "a camera that moves while it looks", "FormatError", "transform_matrix_end", "moves", "give one")
-def _(folder: Path) -> str:
+def _(folder):
     return transforms(folder, frame={"transform_matrix_end": np.eye(4).tolist()})
 
 
 @case("lenses", "cameras.json with a principal point", "1 views", "centre 30")
-def _(folder: Path) -> str:
+def _(folder):
     return _cameras_json(folder, cx=30, cy=20)
 
 
 @case("lenses", "cameras.json of a fisheye", "FormatError", "is_fisheye is True", "a fisheye lens", "undistort")
-def _(folder: Path) -> str:
+def _(folder):
     return _cameras_json(folder, is_fisheye=True)
 
 
@@ -498,40 +498,40 @@ for _place in PLACES:
 
 
 @case("masks", "masks_4 beside images_4, masks beside images", KEEPS_LEFT)
-def _(folder: Path) -> str:
+def _(folder):
     write_photo(folder / "images_4/a.jpg", W, H)
     Image.fromarray(LEFT).save(_made(folder / "masks_4/a.png"))
     return masked(folder, Image.new("L", (W, H), 255), images="images_4")
 
 
 @case("masks", "dynamic_mask_a.png of instant-ngp, white is left out", "keeps 0% of the left, 100% of the right")
-def _(folder: Path) -> str:
+def _(folder):
     return masked(folder, Image.fromarray(LEFT), "images/dynamic_mask_a.png")
 
 
 @case("masks", "masks of 0 and 1, with invert_masks", "keeps 0% of the left, 100% of the right")
-def _(folder: Path) -> str:
+def _(folder):
     return masked(folder, Image.fromarray(LEFT // 255), invert_masks=True)
 
 
 @case("masks", "red on a white picture: named, not guessed", "FormatError", "colours and no black", "no mask", "paint")
-def _(folder: Path) -> str:
+def _(folder):
     return masked(folder, Image.fromarray(np.dstack([np.full_like(LEFT, 255), LEFT, LEFT])))
 
 
 @case("masks", "a photo beside a.jpg that is called a.png is no mask", "no mask")
-def _(folder: Path) -> str:
+def _(folder):
     write_photo(folder / "images/a.png", W, H)
     return masked(folder, Image.fromarray(LEFT), "elsewhere/a.png")
 
 
 @case("masks", "all black: inverting them is no advice", "0 left", "one value all over", absent=("keeps",))
-def _(folder: Path) -> str:
+def _(folder):
     return _used(folder, [np.zeros_like(LEFT)] * 3)
 
 
 @case("masks", "people in white, two photos without any", "1 left", "meant the other way", "keeps 90%")
-def _(folder: Path) -> str:
+def _(folder):
     person = np.zeros_like(LEFT)
     person[10:40, 10:40] = 255
     return _used(folder, [np.zeros_like(LEFT), np.zeros_like(LEFT), person])
@@ -609,7 +609,7 @@ RIGHT = "200 Gaussians, colour 0.20 0.40 0.60, opacity 0.5"
 
 
 @case("colours", "as 3DGS has them, with a byte order mark before the header", RIGHT, "scale 0.05")
-def _(folder: Path) -> str:
+def _(folder):
     return scene(folder, ply(rows_of(), before=BOM))
 
 
@@ -632,7 +632,7 @@ for _what, _convert in (
 
 
 @case("colours", "f_dc, with red, green and blue of a viewer beside", RIGHT)
-def _(folder: Path) -> str:
+def _(folder):
     grey = {name: np.full(200, 9, "u1") for name in ("red", "green", "blue")}
     return scene(folder, ply({**rows_of(), **grey}))
 
@@ -645,18 +645,18 @@ def _(folder: Path) -> str:
     "linear light",
     "Export it in sRGB",
 )
-def _(folder: Path) -> str:
+def _(folder):
     return scene(folder, ply(rows_of(), "color_space linearRGB"))
 
 
 @case("colours", "obj_info: color_space linear", "FormatError", "color_space is 'linear'", "linear light", "Export it")
-def _(folder: Path) -> str:
+def _(folder):
     content = ply(rows_of(), "color_space linear")
     return scene(folder, content.replace(b"comment color_space", b"obj_info color_space"))
 
 
 @case("colours", "a comment: color_space sRGB", RIGHT)
-def _(folder: Path) -> str:
+def _(folder):
     return scene(folder, ply(rows_of(), "color_space sRGB"))
 
 
@@ -669,23 +669,23 @@ for _value, _words in ((1, ("FormatError", "color_space is", "linear light", "Ex
 
 
 @case("colours", "activated values of more rows than are judged", "250000 Gaussians", "scale 0.05", "activated")
-def _(folder: Path) -> str:
+def _(folder):
     return scene(folder, ply({name: np.tile(column, 1250) for name, column in _activated("opacity", *SCALES).items()}))
 
 
 @case("colours", "half floats declared ushort", RIGHT, "scale 0.05")
-def _(folder: Path) -> str:
+def _(folder):
     return scene(folder, ply({name: _halves(column) for name, column in rows_of().items()}))
 
 
 @case("colours", "float positions, half floats declared short", RIGHT, "scale 0.05")
-def _(folder: Path) -> str:
+def _(folder):
     columns = rows_of()
     return scene(folder, ply({n: c if n in ("x", "y", "z") else _halves(c).view("<i2") for n, c in columns.items()}))
 
 
 @case("colours", "half floats, cut into tiles", "200 rows", "near 0.05")
-def _(folder: Path) -> str:
+def _(folder):
     _made(folder / "scene.ply").write_bytes(ply({name: _halves(column) for name, column in rows_of().items()}))
     (source,) = sources_of(folder / "scene.ply")
     return f"{len(source.positions())} rows, near {np.median(source.gaussians(np.arange(200)).scales):.3f}"
@@ -694,7 +694,7 @@ def _(folder: Path) -> str:
 @case(
     "colours", "quantised to bytes, by an unknown rule", "FormatError", "whole numbers (uint8)", "quantised", "Export"
 )
-def _(folder: Path) -> str:
+def _(folder):
     columns = rows_of()
     return scene(folder, ply({**columns, "opacity": np.full(200, 200, "u1")}))
 
@@ -716,20 +716,20 @@ for _what, _names in (("scales and opacities", (*SCALES, "opacity")), ("opacitie
 @case(
     "colours", "activated scales of a scene in millimetres, whose exponentials overflow", RIGHT, "scale 5", "activated"
 )
-def _(folder: Path) -> str:
+def _(folder):
     columns = _activated(*SCALES)
     return scene(folder, ply(columns | {name: 1000 * columns[name] for name in ("x", "y", "z", *SCALES)}))
 
 
 @case("colours", "a scene in millimetres as it should be", RIGHT, "scale 5", absent=("activated",))
-def _(folder: Path) -> str:
+def _(folder):
     columns = rows_of()
     shift = {name: columns[name] + np.log(1000) for name in SCALES}
     return scene(folder, ply(columns | shift | {name: 1000 * columns[name] for name in ("x", "y", "z")}))
 
 
 @case("colours", "activated, cut into tiles", "near 0.07", "0.049", "activated")
-def _(folder: Path) -> str:
+def _(folder):
     _made(folder / "scene.ply").write_bytes(ply(_activated("opacity", *SCALES)))
     (source,) = sources_of(folder / "scene.ply")
     return f"near {np.median(source.sizes()):.3f}, {np.median(source.gaussians(np.arange(9)).scales):.3f}"
@@ -844,7 +844,7 @@ for _name, _content in (
 
 
 @case("else", "a folder that nerfstudio trained", "InputError", "got a checkpoint", "expected a scene", "ns-export")
-def _(folder: Path) -> str:
+def _(folder):
     _made(folder / "run/nerfstudio_models/step-000029999.ckpt").write_bytes(torch_zip())
     (folder / "run/config.yml").write_text("!!python/object:nerfstudio.engine.trainer.TrainerConfig\n")
     return read_scene(folder / "run")
@@ -860,14 +860,14 @@ for _suffix in (".ply", ".spz", ".splat", ".sog", ".glb", ".usda", ".ksplat"):
 
 
 @case("else", "a photo that is a pointer of LFS", "FormatError", "a.png", "Git LFS", "git lfs pull")
-def _(folder: Path) -> str:
+def _(folder):
     capture(folder, "a.png")
     (folder / "images/a.png").write_bytes(POINTER)
     return views(folder)
 
 
 @case("else", "COLMAP's images.bin as a pointer of LFS", "FormatError", "images.bin", "Git LFS", "git lfs pull")
-def _(folder: Path) -> str:
+def _(folder):
     write_colmap_binary(folder / "sparse/0", CAMERA, images("a.png"))
     (folder / "sparse/0/images.bin").write_bytes(POINTER)
     return views(folder)
@@ -882,7 +882,7 @@ def _(folder: Path) -> str:
     "raw file",
     absent=("expected JSON",),
 )
-def _(folder: Path) -> str:
+def _(folder):
     (folder / "transforms.json").write_bytes(PAGE)
     return views(folder)
 
@@ -924,7 +924,7 @@ for _what, _content in (
 
 
 @case("else", "SPZ with something else behind", "FormatError", "scene.spz", "gzip stream is damaged", "header")
-def _(folder: Path) -> str:
+def _(folder):
     return scene(folder, spz_bytes(G, 3) + b"something else", "scene.spz")
 
 
@@ -958,7 +958,7 @@ for _what, _most, _shape, _words in (
 
 
 @case("else", "an output called s.compressed.ply", "InputError", "s.compressed.ply", "compressed PLY", "name it s.ply")
-def _(folder: Path) -> str:
+def _(folder):
     write_gaussians(folder / "s.compressed.ply", G)
     return "written"
 

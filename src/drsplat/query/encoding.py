@@ -14,7 +14,7 @@ from ..photos.models.mini import MiniEncoder
 from ..photos.models.words import WordEncoder
 from ..scene.encoders import Encoder, EncoderIdentity
 
-ENOUGH_TEXTS = 100  # of a vocabulary (benchmarks/study_short_lists.py)
+ENOUGH_TEXTS = 100  # of a vocabulary (study_short_lists.py, docs/search.md)
 Load = Callable[[str, str], Encoder]
 
 
