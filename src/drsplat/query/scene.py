@@ -42,11 +42,10 @@ from .defaults import COSINE, LABEL, MIN_GAUSSIANS, OBJECT, SURE
 from .encoding import source_of
 from .measuring import Background, Measuring
 from .naming import best_names, doubt_of, object_names
-from .objects import answer_of, match_of, most_seen, objects_of
+from .objects import answer_of, match_of, most_seen, objects_of, support_in
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
 from .search import PixelWeights, feature_of, pixel_weights, row_of, seen_among
-from .support import support_in
 from .tasks import locate, segment, sure_matches, whole_of
 from .views import view_named
 from .wholes import for_comparing
