@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .declaring import Facts, argument, declaration, option
-from .kinds import finite, length
+from .declaring import Facts, argument, declaration, finite, length, option
 from .leaving_out import keep_people, people_text
 from .options import Verb, invert_masks, overwrite
 from .tables import show_facts, show_table, size_text, text_of

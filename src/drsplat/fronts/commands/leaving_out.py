@@ -11,8 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from ...errors import FormatError, InputError
-from .declaring import flag, option
-from .kinds import whole, words
+from .declaring import flag, option, whole, words
 
 if TYPE_CHECKING:
     from ...scene.views import View

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
-from .declaring import add_options, argument, declaration, flag, items_of, option
-from .kinds import count, length, whole, words
+from .declaring import add_options, argument, count, declaration, flag, items_of, length, option, whole, words
 from .parsing import VerbParser
 
 if TYPE_CHECKING:

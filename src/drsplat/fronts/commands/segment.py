@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from ...errors import InputError
 from ...query.schema import CUT
-from .declaring import Facts, argument, declaration, option, part
-from .kinds import words
+from .declaring import Facts, argument, declaration, option, part, words
 from .leaving_out import lines_of
 from .options import Encoders, Verb
 from .query_options import FIELD_HELP, Outputs, asked, cut_of
