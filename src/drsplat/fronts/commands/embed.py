@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ...errors import InputError
 from .declaring import Facts, count, declaration, flag, option, part, up_to, words
 from .leaving_out import keep_people, left_out, without, without_people
-from .options import DEVICES, Photos, Verb, capture, invert_masks, overwrite
-from .parts import parts_of
+from .options import DEVICES, Photos, Verb, capture, invert_masks, overwrite, parts_of
 
 if TYPE_CHECKING:
     from ...formats.langsplat import FeatureFolder

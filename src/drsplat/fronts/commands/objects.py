@@ -14,8 +14,7 @@ from ...base.terminal import counted
 from ...errors import InputError
 from .declaring import Facts, argument, declaration, flag, option, part, whole, words
 from .edit_options import note_own_scene
-from .options import Encoders, Photos, Verb, overwrite
-from .parts import parts_of
+from .options import Encoders, Photos, Verb, overwrite, parts_of
 from .query_options import FIELD_HELP, check_outputs
 from .workers import Workers, tiles_of
 

@@ -1,7 +1,13 @@
-"""Options that several verbs share, and what they stand for."""
+"""Options that several verbs share, and what they stand for.
+
+Runs that keep finished parts beside their output until it is there.
+
+Killed when the output had appeared and its parts were not gone, they leave both: the same command then ends the work.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -162,3 +168,28 @@ def verb_parser(prog: str, declared: type) -> VerbParser:
     parser = VerbParser(prog=prog)
     add_verb(parser, declared)
     return parser
+
+
+COMPLETE = " (it was complete already; only its parts were still to be removed)"
+
+
+def parts_of(output: str | Path) -> Path:
+    """Return the folder of an output's parts."""
+    return Path(f"{output}.parts")
+
+
+def new_or_complete(path: str, overwrite: bool, suffix: str = "") -> Path:
+    """Check an output as `new_output` does, but accept one with parts beside it, which a killed run left."""
+    return new_output(path, overwrite or parts_of(path).is_dir(), suffix)
+
+
+def was_complete(output: Path, overwrite: bool, is_this: Callable[[], bool]) -> bool:
+    """Return True if the output is there already and is what would be written.
+
+    Raises: InputError: another one is there.
+    """
+    if overwrite or not output.exists():
+        return False
+    if not is_this():
+        raise exists_already(output)
+    return True
