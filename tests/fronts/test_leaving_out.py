@@ -8,7 +8,7 @@ import pytest
 import drsplat as ds
 from command_line import Capture, answer_of, error_of
 from drsplat.errors import InputError
-from drsplat.fronts.commands.leaving_out import left_out
+from drsplat.fronts.commands.options import left_out
 from toy_capture import write_toy_capture
 
 NAMES = [f"room/photo_{n:02}.png" for n in range(10)]

@@ -10,8 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
 from .declaring import Facts, count, declaration, flag, option, part, up_to, words
-from .leaving_out import keep_people, left_out, without, without_people
-from .options import DEVICES, Photos, Verb, capture, invert_masks, overwrite, parts_of
+from .options import (
+    DEVICES,
+    Photos,
+    Verb,
+    capture,
+    invert_masks,
+    keep_people,
+    left_out,
+    overwrite,
+    parts_of,
+    without,
+    without_people,
+)
 
 if TYPE_CHECKING:
     from ...formats.langsplat import FeatureFolder

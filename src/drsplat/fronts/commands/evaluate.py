@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from ...errors import InputError
 from .declaring import Facts, argument, declaration, finite, flag, length, option, part, whole, words
-from .leaving_out import left_out, without
-from .options import Encoders, Verb, overwrite
+from .options import Encoders, Verb, left_out, overwrite, without
 
 if TYPE_CHECKING:
     from ...evaluation.running import Judged

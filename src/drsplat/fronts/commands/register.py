@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...errors import InputError
 from .declaring import Facts, argument, count, count_or_all, declaration, option, part, whole, words
-from .leaving_out import left_out, without
 from .options import (
     COMPLETE,
     LEVEL_HELP,
@@ -18,11 +17,13 @@ from .options import (
     features,
     invert_masks,
     kernel_device,
+    left_out,
     near,
     new_or_complete,
     overwrite,
     parts_of,
     was_complete,
+    without,
 )
 from .tables import code_facts
 from .workers import Workers, in_memory, scene_of

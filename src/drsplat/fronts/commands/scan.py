@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
 from .declaring import Facts, argument, count, declaration, flag, option, words
-from .leaving_out import keep_people
-from .options import Verb, parts_of
+from .options import Verb, keep_people, parts_of
 from .stages import (
     Stage,
     VerbLine,

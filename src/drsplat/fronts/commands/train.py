@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from ...base.terminal import counted
 from .declaring import Facts, count, declaration, flag, option, part, whole
-from .leaving_out import keep_people, without_people
-from .options import Photos, Verb, capture, invert_masks, kernel_device, overwrite
+from .options import Photos, Verb, capture, invert_masks, keep_people, kernel_device, overwrite, without_people
 
 if TYPE_CHECKING:
     from ...scene.views import View
