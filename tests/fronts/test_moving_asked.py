@@ -299,7 +299,7 @@ def test_services_ask_of_a_span() -> None:
     from pydantic import ValidationError
 
     from drsplat.fronts.serving.conversation import Conversation
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.query_fields import Locate, Segment, cut_of, query_of
 
     assert query_of(Locate(text="red car", during=[0.0, 0.4]), Limits()).during == (0.0, 0.4)
@@ -317,7 +317,7 @@ def test_language_models_ask_when() -> None:
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving.conversation import Conversation, When
     from drsplat.fronts.serving.conversation import tool_answer as answered
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.query_fields import Tool
 
     told = Conversation(played(), "film").when("red car", "left_of", "white vase", "cam0/00")

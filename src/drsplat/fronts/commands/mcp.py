@@ -103,7 +103,7 @@ def run(options: Options) -> Facts:
     where = options.listening
     key = where.key()
 
-    from ..serving.limits import Limits
+    from ..serving.guards import Limits
     from ..serving.listening import address_of, bound_socket
     from ..serving.metrics import Metrics
     from ..serving.scene_folder import SceneFolder, Sources

@@ -51,7 +51,7 @@ def run(options: Options) -> Facts:
     key = where.key()
 
     from ..serving.app import Settings, serve
-    from ..serving.limits import Limits
+    from ..serving.guards import Limits
     from ..serving.listening import address_of, bound_socket
     from ..serving.scene_folder import SceneFolder, Sources
 

@@ -17,7 +17,7 @@ from ...query.relations import OfTwo, Relation, gap, related, standing_on
 from ...query.schema import CUT, Place, QueryField, fields
 from ...query.suggesting import missed_text, words_instead
 from ...scene.boxes import BoxKind
-from .limits import Limits
+from .guards import Limits
 from .models import (
     About,
     BestMatch,

@@ -17,7 +17,7 @@ from ...query.defaults import MIN_GAUSSIANS
 from ...query.relations import OfTwo
 from ...query.schema import CUT, FIELDS, SUBJECTS, Kind, Place, QueryField, fields
 from ...scene.boxes import BoxKind
-from .limits import Limits
+from .guards import Limits
 from .models import Body, EarthPosition, Vector, significant
 from .pictures import decoded, from_base64
 from .replies import JPEG, Reply

@@ -33,7 +33,7 @@ from ...query.sheets import object_picture
 from ...query.suggesting import missed_text, words_instead
 from . import models, query_fields
 from .conversation import tool_answer
-from .limits import Limits
+from .guards import Limits
 from .live import ACTS, Adder, live_reply
 from .models import (
     SceneList,
