@@ -15,7 +15,7 @@ from drsplat.authoring.editing import Isolate, Recolour, Remove
 from drsplat.authoring.filming import looking
 from drsplat.drawing.heat import heat_of
 from drsplat.errors import InputError
-from drsplat.fronts.serving.pictures import png
+from drsplat.fronts.serving.replies import png
 from drsplat.fronts.viewing import client, naming, painting, results, saving, shown
 from drsplat.fronts.viewing.bare import is_bare, open_bare
 from drsplat.fronts.viewing.naming import photo_of

@@ -43,8 +43,8 @@ from .models import (
     tracked,
     when_told,
 )
-from .pictures import png
 from .query_fields import Tool, values_of
+from .replies import png
 
 MAX_MATCHES, MAX_OBJECTS, MAX_NAMES, MAX_TEXT_CHARACTERS, MAX_PHOTOS = 20, 100, 100, 200, 8
 MAX_TRACK_TIMES = 12  # a model reads every number
