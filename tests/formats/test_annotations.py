@@ -17,7 +17,7 @@ def file(tmp_path: Path) -> AnnotationFile:
 
 
 def test_what_is_written_is_read(file: AnnotationFile) -> None:
-    assert file.path.name == "scene.labelled.json"
+    assert file.path.name == "scene.annotations.json"
     assert file.read() == ()
     axes = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
     file.add([Annotation.at(" größe 🥤 ", (1, 2, 3))])
