@@ -280,7 +280,7 @@ def _tools() -> Any:
     import tempfile
     from contextlib import closing
 
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.metrics import Metrics
     from drsplat.fronts.serving.scene_folder import SceneFolder
     from drsplat.fronts.serving.tools import make_server

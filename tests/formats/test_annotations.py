@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drsplat.scene.labelled import Annotation
 
 from drsplat.formats.annotations import AnnotationFile
-from drsplat.scene.labelled import Annotation
 from refusing import malformed, refused
 
 

@@ -141,7 +141,7 @@ def test_a_catalogue_that_is_none_is_told_at_the_start(folder, capsys):
 @pytest.mark.slow
 def test_language_models_search_all_scenes(folder):
     pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.metrics import Metrics
     from drsplat.fronts.serving.scene_folder import SceneFolder
     from drsplat.fronts.serving.tools import make_server

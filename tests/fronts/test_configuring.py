@@ -16,7 +16,7 @@ from command_line import error_of, text_of
 from drsplat.cli import VERBS, make_parser
 from drsplat.errors import InputError
 from drsplat.fronts.commands.configuring import MAX_FILE_BYTES, options_of, place
-from drsplat.fronts.commands.kinds import words
+from drsplat.fronts.commands.declaring import words
 from drsplat.fronts.commands.parsing import VerbParser
 
 TEXTS = ["a", "1", "1.50", "007", "x y", 'q"\\', "größer", "--scene=evil", "-k5", "2026-01-01", "true"]

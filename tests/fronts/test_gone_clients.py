@@ -14,7 +14,7 @@ pytest.importorskip("prometheus_client", reason="the extra drsplat[serve] is not
 
 from drsplat.fronts.serving import workbench
 from drsplat.fronts.serving.app import Settings, create_app
-from drsplat.fronts.serving.limits import Limits
+from drsplat.fronts.serving.guards import Limits
 
 GATED = """
 import sys, time

@@ -7,7 +7,7 @@ import pytest
 
 import drsplat as ds
 from command_line import answer_of, error_of
-from drsplat.fronts.commands.leaving_out import left_out
+from drsplat.fronts.commands.options import left_out
 from refusing import refused
 from toy_capture import write_toy_capture
 

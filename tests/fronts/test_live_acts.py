@@ -282,7 +282,7 @@ def test_clear_lets_go_of_everything(viewer):
 
 
 def test_a_picture_needs_an_encoder_that_sees_and_is_a_picture(viewer):
-    from drsplat.fronts.serving.pictures import png
+    from drsplat.fronts.serving.replies import png
 
     picture = png(np.zeros((4, 4, 3), np.uint8))
     answer = viewer.post("/view/ask-picture?name=x.png", picture)

@@ -25,7 +25,7 @@ from drsplat import load_field, read_views
 from drsplat.formats.live_views import LiveViews
 from drsplat.formats.replacing import claimed_output
 from drsplat.fronts.serving import workbench
-from drsplat.fronts.serving.limits import Limits
+from drsplat.fronts.serving.guards import Limits
 from drsplat.fronts.serving.live import list_views
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from full_disk import files_of_at_most

@@ -297,7 +297,7 @@ def test_services_ask_of_a_span():
     from pydantic import ValidationError
 
     from drsplat.fronts.serving.conversation import Conversation
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.query_fields import Locate, Segment, cut_of, query_of
 
     assert query_of(Locate(text="red car", during=[0.0, 0.4]), Limits()).during == (0.0, 0.4)

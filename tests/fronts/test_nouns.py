@@ -79,7 +79,7 @@ def test_all_verbs_say_so(tmp_path, capsys):
 def test_servers_and_viewer_say_so():
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving.conversation import Conversation, tool_answer
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.models import measured
     from drsplat.fronts.serving.query_fields import Tool
     from drsplat.fronts.viewing.results import result_of

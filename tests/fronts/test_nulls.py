@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from drsplat.errors import DrSplatError
 from drsplat.fronts.serving.app import QUERIES
-from drsplat.fronts.serving.limits import Limits
+from drsplat.fronts.serving.guards import Limits
 from drsplat.fronts.serving.live import NewView
 from drsplat.fronts.serving.query_fields import AskCatalogue, Request
 from drsplat.fronts.serving.scene_folder import SceneFolder

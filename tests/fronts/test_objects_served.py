@@ -22,7 +22,7 @@ from scenes import look_at_view
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 
 from drsplat.fronts.serving.conversation import Conversation
-from drsplat.fronts.serving.limits import Limits
+from drsplat.fronts.serving.guards import Limits
 from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.query_fields import Export
 from drsplat.fronts.serving.replies import Reply

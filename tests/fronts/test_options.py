@@ -17,7 +17,7 @@ from drsplat import cli, load_field, read_gaussians
 from drsplat.cli import make_parser
 from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import describe
-from drsplat.fronts.commands.kinds import MAX_COUNT, MAX_NUMBER, finite, length, whole, words
+from drsplat.fronts.commands.declaring import MAX_COUNT, MAX_NUMBER, finite, length, whole, words
 from toy_capture import PER_THING, write_toy_capture
 
 NO_NUMBERS = [

@@ -156,7 +156,7 @@ def test_relations_too(tmp_path):
 def test_services_ask_for_relations_too(tmp_path):
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving.conversation import Conversation
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.query_fields import When
     from drsplat.fronts.serving.worker import when
 

@@ -102,7 +102,7 @@ def test_a_field_of_one_front_alone_is_noticed():
 
 def test_language_models(tmp_path):
     pytest.importorskip("mcp")
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.metrics import Metrics
     from drsplat.fronts.serving.scene_folder import SceneFolder
     from drsplat.fronts.serving.tools import make_server

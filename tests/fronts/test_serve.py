@@ -38,7 +38,7 @@ import httpx
 
 from drsplat.fronts.serving import workbench
 from drsplat.fronts.serving.app import Settings, create_app
-from drsplat.fronts.serving.limits import Limits
+from drsplat.fronts.serving.guards import Limits
 from drsplat.fronts.serving.listening import bound_socket
 from drsplat.fronts.serving.scene_folder import SceneFolder, Sources, UnknownSceneError
 

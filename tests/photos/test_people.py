@@ -20,7 +20,7 @@ from drsplat.base.progress import track
 from drsplat.cli import main
 from drsplat.formats.captures import SparsePoints
 from drsplat.formats.poses import write_cameras_json
-from drsplat.fronts.commands.leaving_out import without_people as while_left_out
+from drsplat.fronts.commands.options import without_people as while_left_out
 from drsplat.photos.models.people import finding, people, without_people
 from drsplat.scene.photo_masks import load_mask
 from drsplat.scene.views import View

@@ -27,7 +27,7 @@ def public() -> Iterator[tuple[str, object]]:
         if inspect.isfunction(getattr(ds, name)) and name != NEEDS_A_BENCHMARK:
             yield name, getattr(ds, name)
     for kind in (ds.Scene, ds.Answer):
-        for name, own in vars(kind).items():
+        for name, own in inspect.getmembers(kind):
             if not name.startswith("_") and inspect.isfunction(getattr(own, "__func__", own)):
                 yield f"{kind.__name__}.{name}", getattr(kind, name)
 

@@ -140,7 +140,7 @@ def openapi(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def tools(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     pytest.importorskip("mcp")
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.metrics import Metrics
     from drsplat.fronts.serving.scene_folder import SceneFolder
     from drsplat.fronts.serving.tools import make_server

@@ -76,7 +76,7 @@ def test_clients_of_http_and_tools_are_told_beside_the_answer(count, doubted):
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving import worker
     from drsplat.fronts.serving.conversation import tool_answer
-    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.query_fields import Locate, Segment, Tool
 
     texts = ("red mug", *(name for name in NOUNS if name != "mug"))[:count]

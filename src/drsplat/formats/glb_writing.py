@@ -290,7 +290,7 @@ def named_nodes(scene: LabelledScene, first: int) -> NamedNodes:
     """
     kinds = {
         "matches": [_match(match, scene.query) for match in scene.matches],
-        "annotations": [_annotation(one) for one in scene.labelled],
+        "annotations": [_annotation(one) for one in scene.annotations],
     }
     nodes: list[dict[str, Any]] = []
     roots: list[int] = []

@@ -292,7 +292,7 @@ def lacks(kind: str, scene: LabelledScene) -> tuple[str, ...]:
         "names": bool(scene.things),
         "relevancy": scene.relevancy is not None,
         "matches": bool(scene.matches),
-        "annotations": bool(scene.labelled),
+        "annotations": bool(scene.annotations),
         "embeddings": any(thing.embedding is not None for thing in scene.things),
         "columns": bool(scene.gaussians.extra),
         "surfels": scene.gaussians.surfels,

@@ -64,7 +64,7 @@ def _log(rerun: Any, stream: Any, scene: LabelledScene) -> None:
             stream.log("world/things", _boxes(rerun, scene.things), static=True)
     else:
         _log_motion(rerun, stream, scene, scene.motion)
-    notes = scene.labelled
+    notes = scene.annotations
     if notes:
         places = rerun.Points3D([note.center for note in notes], labels=[note.text for note in notes])
         stream.log("world/annotations", places, static=True)

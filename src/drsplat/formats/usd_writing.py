@@ -109,7 +109,7 @@ def layer_text(scene: LabelledScene, columns: Iterable[str]) -> Iterator[str]:
     yield from _scope("groups", "group", scene.groups)
     yield from _scope("objects", "object", scene.things)
     yield from _scope("matches", "match", scene.matches)
-    yield from _notes(scene.labelled)
+    yield from _notes(scene.annotations)
     yield "}\n"
 
 

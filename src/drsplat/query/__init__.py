@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .answer import Answer, Match, MatchTrack, Segmentation, Word
     from .encoding import encoder_for
+    from .held import view_named
     from .opening import SceneFiles, find_scene, open_scene, registered_scene
     from .query import Cut, Query
     from .scene import Scene
-    from .views import view_named
 
 _HOMES = {
     "answer": ("Answer", "Match", "MatchTrack", "Segmentation", "Word"),
@@ -25,7 +25,7 @@ _HOMES = {
     "opening": ("SceneFiles", "find_scene", "open_scene", "registered_scene"),
     "query": ("Cut", "Query"),
     "scene": ("Scene",),
-    "views": ("view_named",),
+    "held": ("view_named",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -109,7 +109,7 @@ def rows_of(things: Sequence[Thing], numbers: WholeNumbers) -> Ids:
 def only_used(scene: LabelledScene) -> LabelledScene:
     """Return a scene without objects and groups that it has no Gaussians of, and without annotations outside of it."""
     low, high = scene.gaussians.positions.min(0), scene.gaussians.positions.max(0)
-    notes = tuple(one for one in scene.labelled if ((one.center >= low) & (one.center <= high)).all())
+    notes = tuple(one for one in scene.annotations if ((one.center >= low) & (one.center <= high)).all())
     owners = scene.object_of
     used = [] if owners is None else np.unique(owners[owners >= 0]).tolist()
     # the groups that some objects are in, and those that these are in

@@ -350,7 +350,7 @@ def _of_tiles(path: Path, source: Tiles, kind: str, num_things: int = 0) -> Expo
 
 def described(path: Path, scene: LabelledScene, kind: str) -> Exported:
     """Return what a file, or a folder, that was written of a scene has in it; kind: one of `formats.known.WRITERS`."""
-    counts = (len(scene.gaussians), len(scene.things), len(scene.matches), len(scene.labelled))
+    counts = (len(scene.gaussians), len(scene.things), len(scene.matches), len(scene.annotations))
     return Exported(path, kind.removeprefix("."), _size(path), *counts, scene.num_edits, lacks(kind, scene))
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...errors import InputError
-from .declaring import Facts, argument, declaration, flag, option, part
-from .kinds import finite, words
+from .declaring import Facts, argument, declaration, finite, flag, option, part, words
 from .options import Photos, Verb, capture, features, invert_masks
 from .query_options import FIELD_HELP
 

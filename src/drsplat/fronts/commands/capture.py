@@ -6,10 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .declaring import Facts, argument, declaration, option
-from .kinds import finite, length
-from .leaving_out import keep_people, people_text
-from .options import Verb, invert_masks, overwrite
+from .declaring import Facts, argument, declaration, finite, length, option
+from .options import Verb, invert_masks, keep_people, overwrite, people_text
 from .tables import show_facts, show_table, size_text, text_of
 
 if TYPE_CHECKING:

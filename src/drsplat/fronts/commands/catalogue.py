@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 from ...base.terminal import counted
 from ...errors import InputError
 from ...query.schema import Place, fields
-from .declaring import Facts, argument, declaration, option, part
+from .declaring import Facts, argument, declaration, option, part, up_to, words
 from .edit_options import note_own_scenes
-from .kinds import up_to, words
 from .options import Encoders, Verb, new_output, overwrite
 from .query_options import asked, numbers, query_of
 from .tables import show_table, text_of

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...errors import FormatError, InputError
-from .declaring import Facts, argument, declaration, option
+from .declaring import Facts, argument, count, count_or_all, declaration, option, whole, words
 from .embed import DEFAULT_ENCODER, ENCODER_HELP, image_encoder, models_device
-from .kinds import count, count_or_all, whole, words
-from .options import Verb, overwrite
-from .parts import COMPLETE, new_or_complete, parts_of, was_complete
+from .options import COMPLETE, Verb, new_or_complete, overwrite, parts_of, was_complete
 
 if TYPE_CHECKING:
     import numpy as np

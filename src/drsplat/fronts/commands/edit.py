@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import FormatError, InputError
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
-from .declaring import Facts, argument, declaration, option, part
+from .declaring import Facts, argument, declaration, option, part, words
 from .edit_options import Changes, Listed, Targets, kept_edits, note_applied, note_left_out, only_one
-from .kinds import words
 from .options import Encoders, Photos, Verb, overwrite
 from .query_options import asked, check_outputs, open_with, query_of, query_text
 

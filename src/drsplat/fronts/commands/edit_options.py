@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...base.terminal import counted, quoted
 from ...errors import DrSplatError, InputError
-from .declaring import Item, declaration, flag, option, several
-from .kinds import count, finite, length, whole, words
+from .declaring import Item, count, declaration, finite, flag, length, option, several, whole, words
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,11 +9,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
-from .declaring import Facts, declaration, flag, option, part
-from .kinds import count, up_to, words
-from .leaving_out import keep_people, left_out, without, without_people
-from .options import DEVICES, Photos, Verb, capture, invert_masks, overwrite
-from .parts import parts_of
+from .declaring import Facts, count, declaration, flag, option, part, up_to, words
+from .options import (
+    DEVICES,
+    Photos,
+    Verb,
+    capture,
+    invert_masks,
+    keep_people,
+    left_out,
+    overwrite,
+    parts_of,
+    without,
+    without_people,
+)
 
 if TYPE_CHECKING:
     from ...formats.langsplat import FeatureFolder

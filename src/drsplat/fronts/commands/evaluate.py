@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...errors import InputError
-from .declaring import Facts, argument, declaration, flag, option, part
-from .kinds import finite, length, whole, words
-from .leaving_out import left_out, without
-from .options import Encoders, Verb, overwrite
+from .declaring import Facts, argument, declaration, finite, flag, length, option, part, whole, words
+from .options import Encoders, Verb, left_out, overwrite, without
 
 if TYPE_CHECKING:
     from ...evaluation.running import Judged

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from ...errors import InputError
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
-from .declaring import Facts, argument, declaration, flag, option, part
+from .declaring import Facts, argument, declaration, finite, flag, option, part, whole, words
 from .edit_options import kept_edits, note_applied, note_left_out, only_one
-from .kinds import finite, whole, words
 from .options import Encoders, Photos, Verb, new_output, overwrite
 from .query_options import asked, open_with, query_of, query_text
 

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from ...base.terminal import counted
 from ...query.defaults import MIN_GAUSSIANS
-from .declaring import Facts, declaration, flag, option, part
-from .kinds import count
+from .declaring import Facts, count, declaration, flag, option, part
 from .options import Verb
 from .query_options import Outputs, Question, answer_json, ask, draw, measured_text, print_doubt
 

@@ -8,9 +8,8 @@ from typing import Any
 
 from ...errors import InputError
 from ..serving.listening import is_loopback, names_of
-from .declaring import Facts, argument, declaration, flag, option, part
+from .declaring import PORT, Facts, argument, declaration, flag, length, option, part, up_to
 from .edit_options import note_own_scenes
-from .kinds import PORT, length, up_to
 from .options import Encoders, Verb
 
 MAX_WORKERS = 256  # processes
@@ -104,7 +103,7 @@ def run(options: Options) -> Facts:
     where = options.listening
     key = where.key()
 
-    from ..serving.limits import Limits
+    from ..serving.guards import Limits
     from ..serving.listening import address_of, bound_socket
     from ..serving.metrics import Metrics
     from ..serving.scene_folder import SceneFolder, Sources

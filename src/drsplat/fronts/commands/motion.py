@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from .declaring import Facts, argument, declaration, option
-from .kinds import finite
+from .declaring import Facts, argument, declaration, finite, option
 from .options import Verb, new_output, overwrite
 
 EXAMPLES = """\

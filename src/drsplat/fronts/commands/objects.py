@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from ...base.terminal import counted
 from ...errors import InputError
-from .declaring import Facts, argument, declaration, flag, option, part
+from .declaring import Facts, argument, declaration, flag, option, part, whole, words
 from .edit_options import note_own_scene
-from .kinds import whole, words
-from .options import Encoders, Photos, Verb, overwrite
-from .parts import parts_of
+from .options import Encoders, Photos, Verb, overwrite, parts_of
 from .query_options import FIELD_HELP, check_outputs
 from .workers import Workers, tiles_of
 

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from ...base.terminal import counted, quoted
 from ...errors import InputError
 from .configuring import Given, configuration, did_you_mean, options_of, place, uses_of
-from .kinds import words
+from .declaring import words
 
 MAX_SHORT_EXAMPLES = 3
 VERB_COLUMN = 14  # where the summaries of the verbs begin

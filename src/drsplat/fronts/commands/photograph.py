@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...errors import InputError
-from .declaring import Facts, argument, declaration, option
+from .declaring import Facts, argument, declaration, finite, option, up_to
 from .edit_options import note_own_scene
-from .kinds import finite, up_to
 from .options import Verb, overwrite
 from .render import BACKGROUNDS, background, size
 

@@ -12,9 +12,8 @@ from ...base.terminal import quoted
 from ...errors import FormatError, InputError, placed
 from ...query.defaults import AUTO
 from ...query.schema import CUT, FIELDS, SUBJECTS, Place, QueryField, fields
-from .declaring import Facts, Item, argument, declaration, option, part, several
+from .declaring import Facts, Item, argument, declaration, finite, option, part, several, words
 from .edit_options import note_own_scene
-from .kinds import finite, words
 from .options import Encoders, Photos, new_output, overwrite, search_device
 
 if TYPE_CHECKING:

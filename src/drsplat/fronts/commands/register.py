@@ -7,11 +7,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...errors import InputError
-from .declaring import Facts, argument, declaration, option, part
-from .kinds import count, count_or_all, whole, words
-from .leaving_out import left_out, without
-from .options import LEVEL_HELP, Photos, Verb, capture, features, invert_masks, kernel_device, near, overwrite
-from .parts import COMPLETE, new_or_complete, parts_of, was_complete
+from .declaring import Facts, argument, count, count_or_all, declaration, option, part, whole, words
+from .options import (
+    COMPLETE,
+    LEVEL_HELP,
+    Photos,
+    Verb,
+    capture,
+    features,
+    invert_masks,
+    kernel_device,
+    left_out,
+    near,
+    new_or_complete,
+    overwrite,
+    parts_of,
+    was_complete,
+    without,
+)
 from .tables import code_facts
 from .workers import Workers, in_memory, scene_of
 

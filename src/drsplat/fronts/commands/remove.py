@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from .add import FieldToChange, answer_of, field_and_scene, show_change
-from .declaring import Facts, declaration, option, part
-from .kinds import words
+from .declaring import Facts, declaration, option, part, words
 from .options import Verb
 
 if TYPE_CHECKING:

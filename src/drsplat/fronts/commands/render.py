@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
 from ...query.schema import Place, fields
-from .declaring import Facts, argument, declaration, flag, option, part
+from .declaring import Facts, argument, declaration, finite, flag, length, option, part, whole, words
 from .edit_options import as_edited, kept_edits, note_own_scene
-from .kinds import finite, length, whole, words
 from .options import Encoders, Photos, Verb, near, new_output, overwrite
 from .query_options import asked, open_with, values_of
 

@@ -11,11 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
-from .declaring import Facts, argument, declaration, flag, option
-from .kinds import count, words
-from .leaving_out import keep_people
-from .options import Verb
-from .parts import parts_of
+from .declaring import Facts, argument, count, declaration, flag, option, words
+from .options import Verb, keep_people, parts_of
 from .stages import (
     Stage,
     VerbLine,

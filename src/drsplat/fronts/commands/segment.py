@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING
 
 from ...errors import InputError
 from ...query.schema import CUT
-from .declaring import Facts, argument, declaration, option, part
-from .kinds import words
-from .leaving_out import lines_of
-from .options import Encoders, Verb
+from .declaring import Facts, argument, declaration, option, part, words
+from .options import Encoders, Verb, lines_of
 from .query_options import FIELD_HELP, Outputs, asked, cut_of
 
 if TYPE_CHECKING:

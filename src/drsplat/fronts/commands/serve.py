@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .declaring import Facts, argument, declaration, flag, option, part
+from .declaring import Facts, argument, declaration, flag, option, part, words
 from .edit_options import note_own_scenes
-from .kinds import words
 from .mcp import Listening, listening
 from .options import Encoders, Verb, search_device
 
@@ -52,7 +51,7 @@ def run(options: Options) -> Facts:
     key = where.key()
 
     from ..serving.app import Settings, serve
-    from ..serving.limits import Limits
+    from ..serving.guards import Limits
     from ..serving.listening import address_of, bound_socket
     from ..serving.scene_folder import SceneFolder, Sources
 

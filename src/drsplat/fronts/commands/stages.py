@@ -14,8 +14,7 @@ from ...errors import DrSplatError, InputError
 from ...query.defaults import MAYBE
 from .configuring import OPTIONS_NOT_KEPT, Given, did_you_mean, place, table_keys
 from .declaring import Facts, made
-from .leaving_out import people_text, transients_text
-from .options import verb_parser
+from .options import people_text, transients_text, verb_parser
 
 if TYPE_CHECKING:
     from ..scanning.display import Display

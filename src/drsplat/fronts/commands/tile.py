@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .declaring import Facts, argument, declaration, option
-from .kinds import count
+from .declaring import Facts, argument, count, declaration, option
 from .options import Verb, new_output, overwrite
 
 EXAMPLES = """\

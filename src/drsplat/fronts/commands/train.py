@@ -7,10 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ...base.terminal import counted
-from .declaring import Facts, declaration, flag, option, part
-from .kinds import count, whole
-from .leaving_out import keep_people, without_people
-from .options import Photos, Verb, capture, invert_masks, kernel_device, overwrite
+from .declaring import Facts, count, declaration, flag, option, part, whole
+from .options import Photos, Verb, capture, invert_masks, keep_people, kernel_device, overwrite, without_people
 
 if TYPE_CHECKING:
     from ...scene.views import View

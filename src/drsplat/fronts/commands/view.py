@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, NoReturn
 
 from ...base.terminal import counted
 from ...errors import InputError
-from .declaring import Facts, argument, declaration, flag, option, part
+from .declaring import PORT, Facts, argument, count, declaration, flag, option, part
+from .declaring import words as text  # an option is called words
 from .edit_options import kept_edits, note_applied
-from .kinds import PORT, count
-from .kinds import words as text  # an option is called words
 from .options import Encoders, Verb, new_output, overwrite
 
 if TYPE_CHECKING:

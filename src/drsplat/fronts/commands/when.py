@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ...query.schema import Place, fields
-from .declaring import Facts, argument, declaration, option, part
-from .kinds import words
+from .declaring import Facts, argument, declaration, option, part, words
 from .options import Encoders, Photos, Verb
 from .query_options import FIELD_HELP, asked, open_with, query_of
 

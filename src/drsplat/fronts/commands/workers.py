@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...errors import InputError
-from .declaring import declaration, option
-from .kinds import count, words
+from .declaring import count, declaration, option, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable

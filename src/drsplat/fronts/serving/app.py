@@ -24,8 +24,7 @@ from ...errors import DrSplatError, InputError
 from ...formats.json_files import parsed
 from . import models
 from .connections import run
-from .guards import Guard
-from .limits import Limits
+from .guards import Guard, Limits
 from .listening import is_own_page
 from .live import LIST, TAKE, NewView, ViewList, ViewState
 from .metrics import Metrics

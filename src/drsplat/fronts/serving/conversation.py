@@ -17,7 +17,7 @@ from ...query.relations import OfTwo, Relation, gap, related, standing_on
 from ...query.schema import CUT, Place, QueryField, fields
 from ...query.suggesting import missed_text, words_instead
 from ...scene.boxes import BoxKind
-from .limits import Limits
+from .guards import Limits
 from .models import (
     About,
     BestMatch,
@@ -43,8 +43,8 @@ from .models import (
     tracked,
     when_told,
 )
-from .pictures import png
 from .query_fields import Tool, values_of
+from .replies import png
 
 MAX_MATCHES, MAX_OBJECTS, MAX_NAMES, MAX_TEXT_CHARACTERS, MAX_PHOTOS = 20, 100, 100, 200, 8
 MAX_TRACK_TIMES = 12  # a model reads every number

@@ -14,11 +14,10 @@ from ...photos.arriving.taking import SentView, Target, take_view
 from ...query import SceneFiles, registered_scene
 from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving
-from .limits import Limits
+from .guards import Limits
 from .models import Body
-from .pictures import from_base64
 from .query_fields import LIMITS, Finite, Request, examples
-from .replies import Reply
+from .replies import Reply, from_base64
 from .scene_folder import SceneFolder, Sources, without_paths
 
 TAKE, LIST, ADD, REFUSE = "take-view", "list-views", "add-views", "refuse-view"

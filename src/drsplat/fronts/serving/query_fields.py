@@ -17,10 +17,9 @@ from ...query.defaults import MIN_GAUSSIANS
 from ...query.relations import OfTwo
 from ...query.schema import CUT, FIELDS, SUBJECTS, Kind, Place, QueryField, fields
 from ...scene.boxes import BoxKind
-from .limits import Limits
+from .guards import Limits
 from .models import Body, EarthPosition, Vector, significant
-from .pictures import decoded, from_base64
-from .replies import JPEG, Reply
+from .replies import JPEG, Reply, decoded, from_base64
 
 LIMITS = Limits()
 Text = Annotated[str, StringConstraints(min_length=1, max_length=LIMITS.text)]

@@ -32,8 +32,7 @@ from ... import __version__
 from ...errors import DrSplatError
 from .connections import run
 from .conversation import MAX_MATCHES, TOOLS, Text, ToolEntry
-from .guards import DoorKeeper
-from .limits import Limits
+from .guards import DoorKeeper, Limits
 from .models import Body, RenderedPicture, RenderedView, SceneList
 from .query_fields import CatalogueAnswer, annotation, default_of, without_nulls
 from .replies import faults_of

@@ -25,7 +25,7 @@ from weakref import finalize
 from ...errors import DrSplatError
 from ...formats.live_views import LiveViews
 from ...query import SceneFiles
-from .limits import GONE
+from .guards import GONE
 from .live import ACTS_ON_FILES, ADD, REFUSE, capture_of
 from .metrics import Metrics
 from .replies import BUG, BusyError, LostError, Reply, unpacked

@@ -33,7 +33,7 @@ from ...query.sheets import object_picture
 from ...query.suggesting import missed_text, words_instead
 from . import models, query_fields
 from .conversation import tool_answer
-from .limits import Limits
+from .guards import Limits
 from .live import ACTS, Adder, live_reply
 from .models import (
     SceneList,
@@ -47,9 +47,8 @@ from .models import (
     span_of,
     tracked,
 )
-from .pictures import jpeg, png
 from .query_fields import Export, Request, asks_something, catalogue_reply, cut_of, query_of, values_of
-from .replies import BUG, GLB, JPEG, PLY, PNG, Reply, packed, problem, refusal
+from .replies import BUG, GLB, JPEG, PLY, PNG, Reply, jpeg, packed, png, problem, refusal
 from .scene_folder import SceneFaultError, SceneFolder, Sources, without_paths
 
 BYTES_BESIDE_HARMONICS = 48  # of a Gaussian: place, rotation, scales, opacity, point's colour

@@ -20,8 +20,7 @@ from starlette.routing import Route
 
 from ....errors import DrSplatError, InputError
 from ....query.documents import Document
-from ...serving.pictures import decoded
-from ...serving.replies import BUG, JPEG, PNG, Reply, faults_of, problem, refusal
+from ...serving.replies import BUG, JPEG, PNG, Reply, decoded, faults_of, problem, refusal
 from ..client import client_file, live_html, printable
 from ..saving import Saves
 from . import files

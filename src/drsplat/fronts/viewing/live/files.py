@@ -23,7 +23,7 @@ from ....formats.json_files import document_in
 from ....formats.known import write_scene
 from ....query.sheets import OBJECTS_AT_ONCE
 from ....scene.labelled import LabelledScene
-from ...serving.pictures import jpeg, png
+from ...serving.replies import jpeg, png
 from .. import results
 from ..exporting import export_session, pictures_of
 from ..naming import photo_of

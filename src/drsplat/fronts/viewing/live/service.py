@@ -17,8 +17,7 @@ import uvicorn
 from ....base.arrays import Vector3
 from ....errors import DrSplatError, InputError
 from ...serving.connections import TIMEOUTS_S, Stage, bounded, run_server
-from ...serving.guards import Answer, App, Body, DoorKeeper, Message, Receive, Send, refused_length
-from ...serving.limits import Limits
+from ...serving.guards import Answer, App, Body, DoorKeeper, Limits, Message, Receive, Send, refused_length
 from ...serving.listening import (
     ALL_INTERFACES,
     TakenError,
