@@ -157,7 +157,9 @@ def looking(scene: Tiles) -> list[ds.View]:
     ]
 
 
-@pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
+@pytest.mark.parametrize(
+    "launcher", [OneProcess(), pytest.param(Processes(2), marks=pytest.mark.slow)], ids=["here", "processes"]
+)
 def test_objects_of_tiles_are_those_of_the_whole(tmp_path, small_blocks, launcher):
     tiles, field = in_tiles_of(tmp_path)
     views = looking(tiles)

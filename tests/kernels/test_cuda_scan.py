@@ -75,7 +75,7 @@ def test_answers_are_those_of_the_scores_and_scores_those_of_the_twin(engine, su
 
 
 def test_more_rows_than_blocks_score_at_once(engine):
-    check_everything(engine, *drawn(1, 5000, 128, 1, coarse=3))
+    check_everything(engine, *drawn(1, 1100, 128, 1, coarse=3))
 
 
 @pytest.mark.slow

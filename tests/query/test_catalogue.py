@@ -63,6 +63,12 @@ def filled(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     return catalogue
 
 
+@pytest.fixture
+def catalogue(tmp_path: Path) -> Catalogue:
+    """An empty one, in a folder that is not there yet."""
+    return Catalogue.open(tmp_path / "c")
+
+
 def found(
     catalogue: Catalogue, query: Query | str, where: Conditions = ANYWHERE, **options: Any
 ) -> list[tuple[str, int]]:
@@ -162,11 +168,11 @@ def test_an_answer_says_what_it_is(filled, scenes):
     assert json.loads(json.dumps(entry.json()))["scene"] == "o'hara"
 
 
-def test_exact_answers_are_those_of_all_descriptors(tmp_path):
+def test_exact_answers_are_those_of_all_descriptors(catalogue):
     rng, encoder = default_rng(1), EncoderIdentity("test", 24)
     vectors = unit(rng, 800, 24)
-    table.replace_scene(tmp_path / "c", "one", rows_of("one", vectors[:500], encoder), encoder)
-    table.replace_scene(tmp_path / "c", "two", rows_of("two", vectors[500:], encoder), encoder)
+    table.replace_scene(catalogue.path, "one", rows_of("one", vectors[:500], encoder), encoder)
+    table.replace_scene(catalogue.path, "two", rows_of("two", vectors[500:], encoder), encoder)
     query = unit(rng, 24)
     stored = np.rint(vectors * (127 / np.abs(vectors).max(axis=1, keepdims=True)))
     stored /= np.linalg.norm(stored, axis=1, keepdims=True)
@@ -174,7 +180,6 @@ def test_exact_answers_are_those_of_all_descriptors(tmp_path):
     best = (stored.astype(np.float32).reshape(400, 2, 24) @ query).max(1)
     order = np.argsort(-best)[:20]
     expected = [("one", int(at)) if at < 250 else ("two", int(at) - 250) for at in order]
-    catalogue = Catalogue.open(tmp_path / "c")
     with refused("so words must be too: pass encoder=NAME"):
         catalogue.ask("mug")
     answer = catalogue.answer(Query(vector=query, threshold=-1.0), top=20)
@@ -183,13 +188,12 @@ def test_exact_answers_are_those_of_all_descriptors(tmp_path):
     assert_allclose([entry.score for entry in answer.entries], best[order], atol=1e-3)
 
 
-def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path):
+def test_an_index_finds_nearly_all_and_says_that_it_was_used(catalogue):
     rng, encoder = default_rng(2), EncoderIdentity("test", 32)
     centers = unit(rng, 40, 32)
     vectors = unit(rng, 1200, 32) * 0.4 + centers[rng.integers(0, 40, 1200)]
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    table.replace_scene(tmp_path / "c", "one", rows_of("one", vectors, encoder), encoder)
-    catalogue = Catalogue.open(tmp_path / "c")
+    table.replace_scene(catalogue.path, "one", rows_of("one", vectors, encoder), encoder)
     assert catalogue.build_index() == 600
     shares = []
     for query in centers[:10]:
@@ -199,7 +203,7 @@ def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path):
         ids = [{entry.object_id for entry in answer.entries} for answer in (near, exact)]
         shares.append(len(ids[0] & ids[1]) / 10)
     assert np.mean(shares) > 0.8
-    table.replace_scene(tmp_path / "c", "two", rows_of("two", unit(rng, 2, 32), encoder), encoder)
+    table.replace_scene(catalogue.path, "two", rows_of("two", unit(rng, 2, 32), encoder), encoder)
     later = catalogue.scenes()
     assert [one.num_objects for one in later] == [600, 1]
     answer = catalogue.answer(Query(vector=centers[0], threshold=-1.0), Conditions(scenes=("two",)))
@@ -241,12 +245,11 @@ def test_boxes_and_times_that_are_none():
             Conditions(**wrong)
 
 
-def test_places_on_the_earth(tmp_path):
+def test_places_on_the_earth(tmp_path, catalogue):
     folder = write_scene(tmp_path / "roof", WORDS["kitchen"], photos=False)
     here = {"format": "drsplat georeference", "version": 1, "longitude": 13.4, "latitude": 52.5, "height": 80.0,
             "scale": 10.0, "enu_from_world": np.eye(3).tolist()}  # fmt: skip
     (folder / "georeference.json").write_text(json.dumps(here))
-    catalogue = Catalogue.open(tmp_path / "c")
     with pytest.warns(DrSplatWarning, match="no thumbnails"):
         catalogue.add(folder)
     (entry,) = catalogue.ask("green plant")  # 3 units, 30 metres, to the east
@@ -263,8 +266,7 @@ def test_places_on_the_earth(tmp_path):
 # --- adding and removing ---
 
 
-def test_a_scene_that_is_added_again_takes_its_place(scenes, tmp_path):
-    catalogue = Catalogue.open(tmp_path / "c")
+def test_a_scene_that_is_added_again_takes_its_place(scenes, catalogue):
     catalogue.add(scenes / "kitchen")
     field = load_field(scenes / "kitchen/a.field")
     version = current(catalogue.path).version
@@ -281,7 +283,7 @@ def test_a_scene_that_is_added_again_takes_its_place(scenes, tmp_path):
         catalogue.thumbnail("kitchen", 2)
 
 
-def test_all_objects_of_a_scene_in_tiles(tmp_path):
+def test_all_objects_of_a_scene_in_tiles(tmp_path, catalogue):
     """Once each, also those across a border, with the tile that has most of them."""
     folder = write_scene(tmp_path / "kitchen", WORDS["kitchen"])
     whole = read_gaussians(folder / "scene.ply")
@@ -292,7 +294,6 @@ def test_all_objects_of_a_scene_in_tiles(tmp_path):
     tiles = write_tiles(folder / "scene.tiles", parts, whole.origin, ["scene.ply"], overwrite=False)
     assert (len(tiles.tiles), tiles.fingerprint) == (2, whole.fingerprint)
     (folder / "scene.ply").unlink()
-    catalogue = Catalogue.open(tmp_path / "c")
     for _ in range(2):
         assert catalogue.add(folder).num_objects == 3
         entries = catalogue.ask(Query(vector=WordEncoder().encode_texts(["mug"])[0], threshold=-1.0))
@@ -301,8 +302,7 @@ def test_all_objects_of_a_scene_in_tiles(tmp_path):
         assert all(catalogue.thumbnail(one.scene, one.object_id, one.tile) == one.thumbnail for one in entries)
 
 
-def test_removing(scenes, tmp_path):
-    catalogue = Catalogue.open(tmp_path / "c")
+def test_removing(scenes, catalogue):
     for name in WORDS:
         catalogue.add(scenes / name)
     assert catalogue.remove("o'hara") == 3
@@ -314,8 +314,7 @@ def test_removing(scenes, tmp_path):
     assert (len(catalogue), catalogue.scenes(), catalogue.ask("mug")) == (0, [], [])
 
 
-def test_stale_scenes_are_told(tmp_path):
-    catalogue = Catalogue.open(tmp_path / "c")
+def test_stale_scenes_are_told(tmp_path, catalogue):
     for name, words in WORDS.items():
         catalogue.add(write_scene(tmp_path / name, words))
     assert [one.state for one in catalogue.scenes()] == ["current", "current"]
@@ -333,16 +332,15 @@ def test_another_encoder_is_refused(filled):
     assert len(filled) == 6
 
 
-def test_a_field_without_objects_says_how_to_find_them(tmp_path):
+def test_a_field_without_objects_says_how_to_find_them(tmp_path, catalogue):
     gaussians = known_scene()
     field = boxes_of(WORDS["kitchen"], gaussians).with_objects(None)
     with refused("drsplat objects FIELD --scene SCENE"):
-        Catalogue.open(tmp_path / "c").add(Scene(field, gaussians))
+        catalogue.add(Scene(field, gaussians))
     assert not (tmp_path / "c").exists()
 
 
-def test_two_scenes_of_one_name_are_told_apart(scenes, tmp_path):
-    catalogue = Catalogue.open(tmp_path / "c")
+def test_two_scenes_of_one_name_are_told_apart(scenes, tmp_path, catalogue):
     catalogue.add(scenes / "kitchen")
     other = write_scene(tmp_path / "kitchen", WORDS["o'hara"], photos=False)
     with refused("pass name=NAME"):
@@ -556,19 +554,19 @@ def test_a_writer_killed_before_its_first_version_leaves_an_empty_catalogue(left
     file = tmp_path / "c" / "objects.lance" / left
     file.parent.mkdir(parents=True)
     file.write_bytes(b"half")
-    assert not list(Catalogue.open(tmp_path / "c").scenes())
-    Catalogue.open(tmp_path / "c").add(scenes / "kitchen")
-    assert [one.num_objects for one in Catalogue.open(tmp_path / "c").scenes()] == [3]
-
-
-def test_a_catalogue_that_lost_its_versions_is_damaged(scenes, tmp_path):
     catalogue = Catalogue.open(tmp_path / "c")
+    assert not list(catalogue.scenes())
+    catalogue.add(scenes / "kitchen")
+    assert [one.num_objects for one in catalogue.scenes()] == [3]
+
+
+def test_a_catalogue_that_lost_its_versions_is_damaged(scenes, catalogue):
     catalogue.add(scenes / "kitchen")
     catalogue.add(scenes / "o'hara")
-    for manifest in (tmp_path / "c").glob("*/_versions/*"):
+    for manifest in catalogue.path.glob("*/_versions/*"):
         manifest.unlink()
     with malformed("damaged"):
-        Catalogue.open(tmp_path / "c")
+        Catalogue.open(catalogue.path)
 
 
 @pytest.mark.slow
@@ -647,7 +645,7 @@ def test_descriptors_without_a_direction_are_refused(value):
 
 
 @pytest.mark.parametrize("wrong", ["zero", "box", "scene"])
-def test_rows_that_are_no_objects(tmp_path, wrong):
+def test_rows_that_are_no_objects(wrong, catalogue):
     import pyarrow as pa
 
     encoder = EncoderIdentity("test", 8)
@@ -660,9 +658,9 @@ def test_rows_that_are_no_objects(tmp_path, wrong):
     at = columns.schema.get_field_index(name)
     columns = columns.set_column(at, name, pa.array(value, columns.schema.field(name).type))
     columns = columns.replace_schema_metadata(schema_of(encoder).metadata)
-    table.replace_scene(tmp_path / "c", "one", columns, encoder)
+    table.replace_scene(catalogue.path, "one", columns, encoder)
     with malformed("damaged"):
-        Catalogue.open(tmp_path / "c").ask(Query(vector=np.ones(8, np.float32), threshold=-1.0))
+        catalogue.ask(Query(vector=np.ones(8, np.float32), threshold=-1.0))
 
 
 def test_thumbnails_that_are_none(filled):
@@ -815,8 +813,7 @@ Catalogue.open(path).remove("kitchen") if moment == "before the intent" else Cat
 
 
 @pytest.mark.slow
-def test_a_writer_killed_before_its_record(scenes, tmp_path):
-    catalogue = Catalogue.open(tmp_path / "c")
+def test_a_writer_killed_before_its_record(scenes, catalogue):
     catalogue.add(scenes / "kitchen")
     for moment, names in (("before the record", ["kitchen", "o'hara"]), ("before the intent", ["kitchen", "o'hara"])):
         command = [sys.executable, "-W", "ignore", "-c", KILLED, moment, str(catalogue.path), str(scenes / "o'hara")]
@@ -844,8 +841,7 @@ Catalogue.open(sys.argv[1]).remove("kitchen")
 
 
 @pytest.mark.slow
-def test_a_killed_removal_that_had_ended_is_given_again(scenes, tmp_path):
-    catalogue = Catalogue.open(tmp_path / "c")
+def test_a_killed_removal_that_had_ended_is_given_again(scenes, catalogue):
     for name in WORDS:
         catalogue.add(scenes / name)
     killed = subprocess.run([sys.executable, "-c", REMOVED, str(catalogue.path)], check=False)
