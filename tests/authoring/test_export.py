@@ -276,7 +276,7 @@ def test_groups_that_a_part_is_in_stay_with_it():
         np.zeros((2, 3), np.float32), np.float32([[1, 0, 0, 0]] * 2), np.ones((2, 3), np.float32),
         np.ones(2, np.float32), np.zeros((2, 1, 3), np.float32),
     )  # fmt: skip
-    part = only_used(LabelledScene(gaussians, "s", things, groups, np.array([0, -1], np.int32)))
+    part = only_used(LabelledScene(gaussians, "s", things, groups, np.int32([0, -1])))
     assert [(one.name, one.parent, one.number) for one in part.things] == [("a", 1, 0)]
     assert [(one.name, one.parent) for one in part.groups] == [("g1", -1), ("g2", 0)]
     assert part.object_of.tolist() == [0, -1]

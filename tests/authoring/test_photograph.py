@@ -53,7 +53,7 @@ def gaussians_at(points: np.ndarray, size: float = 0.1, opacity: float = 0.95) -
     count = len(points)
     return Gaussians(
         points.astype(np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
         np.full((count, 3), size, np.float32),
         np.full(count, opacity, np.float32),
         np.random.default_rng(0).normal(0, 0.5, (count, 1, 3)).astype(np.float32),

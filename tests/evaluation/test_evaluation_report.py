@@ -90,7 +90,7 @@ def test_features_of_another_kind_are_refused(tmp_path):
 
 
 def test_choosers_let_absent_gaussians_have_no_say():
-    scores = np.array([np.nan, 0.1, 0.12, 0.11, 0.9, 0.95, np.nan], np.float32)
+    scores = np.float32([np.nan, 0.1, 0.12, 0.11, 0.9, 0.95, np.nan])
     for choose, how in automatic_choosers(cosine_scorer(toy_field(), ToyEncoder())).values():
         assert how.startswith("per query")
         assert choose(np.full(4, np.nan, np.float32)) == np.inf

@@ -148,10 +148,10 @@ def test_dense_scores_have_a_fill_where_nothing_is_known():
 
 def test_an_explanation_names_the_photos_and_masks_with_the_largest_support():
     embeddings = np.eye(4, dtype=np.float32)[[0, 0, 1, 0]]
-    masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
-    weights = csr_array(np.array([[1, 3, 5, 0], [0, 0, 0, 2], [0] * 4, [0, 0, 1, 0]], np.float32))
+    masks = MaskIds(("a", "b"), np.int32([0, 0, 1, 1]), np.array([0, 1, 0, 1], "i4"))
+    weights = csr_array(np.float32([[1, 3, 5, 0], [0, 0, 0, 2], [0] * 4, [0, 0, 1, 0]]))
     field = build_field(Evidence(weights, masks, embeddings), SCENE, EncoderIdentity("e", 4))
-    query = np.array([2, 0, 0, 0], np.float32)
+    query = np.float32([2, 0, 0, 0])
     assert field.explain(0, query) == [Explanation("a", 1, 0.75), Explanation("a", 0, 0.25)]
     assert field.explain(0, query, top=1) == [Explanation("a", 1, 0.75)]
     assert field.explain(1, query) == [Explanation("b", 1, 1.0)]
@@ -162,12 +162,12 @@ def test_an_explanation_names_the_photos_and_masks_with_the_largest_support():
 
 
 def test_rows_whose_embeddings_cancel_have_no_feature():
-    embeddings = np.array([[1, 0], [-1, 0], [0, 1]], np.float32)
+    embeddings = np.float32([[1, 0], [-1, 0], [0, 1]])
     masks = MaskIds(("a",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
-    weights = csr_array(np.array([[2, 2, 0], [0, 0, 1], [0, 0, 0], [1, 0, 0]], np.float32))
+    weights = csr_array(np.float32([[2, 2, 0], [0, 0, 1], [0, 0, 0], [1, 0, 0]]))
     field = build_field(Evidence(weights, masks, embeddings), SCENE, EncoderIdentity("e", 2))
     assert_array_equal(field.gaussian_ids, [1, 3])
-    assert_allclose(field.scores(np.array([1, 0], np.float32)), [0, 1], atol=1e-5)
+    assert_allclose(field.scores(np.float32([1, 0])), [0, 1], atol=1e-5)
     assert field.evidence is not None
     assert len(field.evidence) == 2
 
@@ -525,7 +525,7 @@ def rewritten(path: Path, **changes: np.ndarray | None) -> None:
         ("codes", {"coarse_ids": np.zeros(600, np.uint16)}),
         ("codes", {"centroids": np.zeros((32, 256, 1))}),
         ("evidence", {"indptr": np.zeros(0, np.int32)}),
-        ("evidence", {"indptr": np.array([0, 10**6], np.int32)}),
+        ("evidence", {"indptr": np.int32([0, 10**6])}),
         ("evidence", {"indices": np.full(1200, 40, np.int32)}),
         ("evidence", {"indices": np.full(1200, -1, np.int32)}),
         ("evidence", {"indices": None}),

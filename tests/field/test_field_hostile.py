@@ -109,7 +109,7 @@ def survivors(path: Path, seed: int, read: Callable[[Path], object], count: int 
 def use_field(path: Path) -> None:
     """Load a field and do what a user would: whatever loads must also work."""
     field = load_field(path.parent)
-    query = np.array([1, 2, 3, 4], np.float32)
+    query = np.float32([1, 2, 3, 4])
     with np.errstate(all="ignore"):
         field.scores(query, threads=1)
         assert (field.select(query, -2.0, threads=1).rows < len(field)).all()

@@ -65,7 +65,7 @@ def test_quantised_vectors_have_unit_length_and_hardly_turn():
 
 def test_vectors_too_short_to_be_scaled_count_as_none():
     """Warnings are errors: 127 over such an entry is infinite."""
-    found = quantised(np.array([[1e-38, 0, 0], [1e-36, 0, 0]], np.float32))
+    found = quantised(np.float32([[1e-38, 0, 0], [1e-36, 0, 0]]))
     assert found.values.tolist() == [[0, 0, 0], [127, 0, 0]]
     assert found.scales[0] == 0
 

@@ -254,9 +254,9 @@ def test_masks_lie_on_the_photo_as_stored():
     gaussian = random_gaussians(1, seed=0)
     gaussian = replace(
         gaussian,
-        means=np.array([[2.4, 1.8, 0]], np.float32),
+        means=np.float32([[2.4, 1.8, 0]]),
         scales=np.full((1, 3), 0.01, np.float32),
-        opacities=np.array([0.9], np.float32),
+        opacities=np.float32([0.9]),
     )
     in_camera = view.cam_from_world @ [2.4, 1.8, 0, 1]
     in_pinhole = (view.K @ in_camera[:3])[:2] / in_camera[2]

@@ -18,6 +18,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import drsplat as ds
+from command_line import answer_of, error_of
 from drsplat.cli import main
 from drsplat.errors import FormatError, InputError
 from drsplat.field.codes import Smaller
@@ -531,8 +532,7 @@ def fields_of(folder: Path) -> dict[str, bytes]:
 @pytest.mark.slow
 def test_a_tiled_scene_from_the_command_line(toy, tmp_path, capsys):
     tiles, plain = tmp_path / "s.tiles", tmp_path / "s.field"
-    assert main(["tile", str(toy / "scene.ply"), "-o", str(tiles), "--rows", "60", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["num_tiles"] > 4
+    assert answer_of(capsys, "tile", toy / "scene.ply", "-o", tiles, "--rows", "60")["num_tiles"] > 4
     features = ["--features", str(toy / "capture/language_features")]
     register = ["register", str(tiles), str(toy / "capture"), *features, "--encoder-name", "drsplat-words"]
     assert main([*register, "-o", str(plain), "--workers", "2", "--threads", "1"]) == 0
@@ -547,11 +547,9 @@ def test_a_tiled_scene_from_the_command_line(toy, tmp_path, capsys):
 def test_workers_are_for_tiles(toy, tmp_path, capsys):
     features = ["--features", str(toy / "capture/language_features")]
     register = ["register", str(toy / "scene.ply"), str(toy / "capture"), *features, "-o", str(tmp_path / "f")]
-    assert main([*register, "--workers", "2"]) == 1
-    assert "drsplat tile" in capsys.readouterr().err
+    assert "drsplat tile" in error_of(capsys, *register, "--workers", "2")
     register[1] = str(toy / "scene.tiles")
-    assert main([*register, "--workers", "2", "--ray", "local"]) == 1
-    assert "two ways" in capsys.readouterr().err
+    assert "two ways" in error_of(capsys, *register, "--workers", "2", "--ray", "local")
 
 
 @pytest.mark.slow

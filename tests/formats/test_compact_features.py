@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from test_embedding import a_view
 
 import drsplat as ds
-from drsplat import cli
+from command_line import answer_of
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.formats import compact_features
 from drsplat.formats.compact_features import read_compact, write_compact
@@ -139,8 +139,7 @@ def test_inspect_tells_features_of_either_form(tmp_path, capsys):
     told = []
     for form in ("compact", "langsplat"):
         embed(views, tmp_path / form, LargeSegmenter(), ThumbnailEncoder(), form=form)
-        assert cli.main(["inspect", str(tmp_path / form), "--json"]) == 0
-        told.append(json.loads(capsys.readouterr().out) | {"path": ""})
+        told.append(answer_of(capsys, "inspect", tmp_path / form) | {"path": ""})
     assert told[0] == told[1]
     assert told[0]["kind"] == "features"
 

@@ -14,6 +14,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
+from command_line import answer_of, error_of
 from drsplat import _native
 from drsplat.cli import main
 from drsplat.errors import DrSplatError, FormatError
@@ -101,18 +102,15 @@ def test_inspect_verifies(tmp_path, capsys):
     path = saved_field(tmp_path)
     (path / "notes.txt").write_text("not of the field")
     manifest = json.loads((path / "field.json").read_text())
-    assert main(["inspect", str(path), "--verify", "--json"]) == 0
-    verified = json.loads(capsys.readouterr().out)["verified"]
+    verified = answer_of(capsys, "inspect", path, "--verify")["verified"]
     del manifest["crc32"]
     assert verified == sorted(["field.json", *manifest["files"]])
     old = tmp_path / "old.field"
     shutil.copytree(path, old)
     (old / "field.json").write_text(json.dumps({**manifest, "version": 2}))
-    assert main(["inspect", str(old), "--verify", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["verified"] == []  # it has no checksums
+    assert answer_of(capsys, "inspect", old, "--verify")["verified"] == []  # it has no checksums
     damage(path / "negatives.safetensors", "maxima")
-    assert main(["inspect", str(path), "--verify"]) == 1
-    assert "'maxima' is not what was written" in capsys.readouterr().err
+    assert "'maxima' is not what was written" in error_of(capsys, "inspect", path, "--verify")
 
 
 @pytest.mark.parametrize("given", [["--output", ""], ["--output="]])

@@ -74,7 +74,7 @@ def test_what_is_written_is_what_the_extension_says(degree, tmp_path):
 def test_points_have_the_colours_of_the_splats_in_linear_light(tmp_path):
     """A third of sRGB's range is 0.0908 of its light, by the curve of IEC 61966-2-1."""
     g = made(3, 0)
-    shown = np.array([[1 / 3, 0, 1], [2, -1, 0.02], [0.5, 0.5, 0.5]], np.float32)
+    shown = np.float32([[1 / 3, 0, 1], [2, -1, 0.02], [0.5, 0.5, 0.5]])
     g = replace(g, sh=((shown - 0.5) / 0.28209479)[:, None].astype(np.float32), opacities=np.float32([0, 0.5, 1]))
     colors = Read.of(written(tmp_path, LabelledScene(g))).attribute("COLOR_0")
     expected = [[23, 0, 255, 0], [255, 0, 0, 128], [55, 55, 55, 255]]
@@ -117,7 +117,7 @@ def test_names_and_numbers_of_objects_come_back(tmp_path):
 
 def test_embeddings_go_along_where_objects_have_some(tmp_path):
     scene = with_objects(made(), ("a", "b"))
-    vector = np.array([0.6, 0.8, 0], np.float32)
+    vector = np.float32([0.6, 0.8, 0])
     scene = replace(scene, things=(replace(scene.things[0], embedding=vector), scene.things[1]), encoder="clip")
     embeddings = Read.of(written(tmp_path, scene)).table(0)["embedding"]
     assert_array_equal(embeddings, [vector, np.zeros(3)])

@@ -40,7 +40,7 @@ def labelled(count: int = 40, names: tuple[str, ...] = NAMES) -> LabelledScene:
     """Make a scene with everything that a file can carry, none of it at zero or upright."""
     rng = default_rng(0)
     gaussians = replace(random_gaussians(rng, count), origin=np.array([5e5, 4e6, 100.25]))
-    unit = np.array([0.6, 0.8], np.float32)
+    unit = np.float32([0.6, 0.8])
     things = tuple(
         Thing(
             name, number / 100, np.array([number, 1 / 3, -2.0]), TURNED, np.array([1.0, 2.0, 0.1]), number % 2 - 1, unit
@@ -159,8 +159,8 @@ def test_the_extent_holds_three_standard_deviations(tmp_path):
 
     half = np.float32(np.sqrt(0.5))
     one = Gaussians(
-        np.array([[1, 2, 3]], np.float32), np.array([[half, 0, 0, half]], np.float32),
-        np.array([[2, 1, 0.5]], np.float32), np.ones(1, np.float32), np.zeros((1, 1, 3), np.float32),
+        np.float32([[1, 2, 3]]), np.float32([[half, 0, 0, half]]),
+        np.float32([[2, 1, 0.5]]), np.ones(1, np.float32), np.zeros((1, 1, 3), np.float32),
     )  # fmt: skip
     write_scene(tmp_path / "out.usda", LabelledScene(one))
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))

@@ -139,7 +139,7 @@ def test_rows_without_candidates_or_direction_are_zero():
     dictionary = quantised(unit_rows(rng, 5, 8))
     opposite = -reference_mixture.atoms(dictionary)[2:3].astype(np.float32)
     features = np.concatenate([unit_rows(rng, 1, 8), np.zeros((1, 8), np.float32), opposite])
-    given = Candidates(np.array([0, 0, 3, 4]), np.array([0, 1, 2, 2], np.int32), np.empty((3, 0), np.int32))
+    given = Candidates(np.array([0, 0, 3, 4]), np.int32([0, 1, 2, 2]), np.empty((3, 0), np.int32))
     ids, weights, scales = mixture_encode(features, dictionary, given, 4)
     assert not ids[:1].any()
     assert not weights.any()
@@ -335,12 +335,12 @@ def test_bad_arguments_are_refused():
         mixture_scores(Blocks(blocks.ids[1:], *blocks[1:]), dictionary, query)
     features = unit_rows(rng, 2, 48)
     none = np.empty((2, 0), np.int32)
-    good = np.array([0, 1, 2]), np.array([0, 89], np.int32), none
+    good = np.array([0, 1, 2]), np.int32([0, 89]), none
     for starts, columns, further in (
         (np.array([0, 2, 1]), good[1], none),
         (np.array([0, 1, 3]), good[1], none),
-        (good[0], np.array([0, 90], np.int32), none),
-        (good[0], np.array([0, -1], np.int32), none),
+        (good[0], np.int32([0, 90]), none),
+        (good[0], np.int32([0, -1]), none),
         (good[0], good[1], np.full((2, 1), 90, np.int32)),
         (good[0], good[1], np.zeros((2, 65), np.int32)),
     ):
@@ -354,4 +354,4 @@ def test_bad_arguments_are_refused():
     with refused("centres"):
         nearest_centres(features, np.empty((0, 48), np.float32))
     with refused("members"):
-        nearest_members(features, dictionary, np.array([0, 3], np.int32), np.zeros((3, 2), np.int32), 2)
+        nearest_members(features, dictionary, np.int32([0, 3]), np.zeros((3, 2), np.int32), 2)

@@ -280,7 +280,7 @@ def test_ties_keep_the_nearer():
     assert_array_equal(reference.on_boundary(seen, 1), [[False, True]])
     assert_array_equal(reference.on_boundary(seen, 2), [[True, False]])
     assert_array_equal(reference.on_boundary(seen, None), [[False, False]])
-    triples = reference.mask_sums(seen, np.array([[5, 5]], np.int32))
+    triples = reference.mask_sums(seen, np.int32([[5, 5]]))
     assert_array_equal(triples.gaussian_ids, [1, 2, 4, 7, 9])
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from command_line import answer_of
 from drsplat.cli import main
 from drsplat.errors import MissingExtraError
 from drsplat.formats.captures import read_sparse_points, read_views
@@ -125,8 +126,7 @@ def test_the_room_is_posed(mixed, views):
 
 @has_colmap
 def test_inspect_and_train_take_the_capture(mixed, tmp_path, capsys):
-    assert main(["inspect", str(mixed[0]), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["num_photos"] == NUM_GOOD
+    assert answer_of(capsys, "inspect", mixed[0])["num_photos"] == NUM_GOOD
     line = ["train", str(mixed[0]), "-o", str(tmp_path / "model"), "--iterations", "2", "--resolution", "64", "--json"]
     assert main([*line, "--max-gaussians", "100000"]) == 0  # the budget of such small photos is less than the points
     assert json.loads(capsys.readouterr().out)["start"]["given"] == mixed[1]["num_points"]

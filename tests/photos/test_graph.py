@@ -21,7 +21,7 @@ from world.segmenter.scenes import Photo, halved
 from world.segmenter.scores import score, shared_pixels
 from world.segmenter.tuning import case, learned, save_rule
 
-from drsplat.cli import main
+from command_line import error_of
 from drsplat.kernels import available_isas
 from drsplat.kernels.photo_regions import (
     AREA,
@@ -120,7 +120,7 @@ def flat_squares() -> tuple[np.ndarray, np.ndarray]:
     truth = np.zeros((240, 320), int)
     truth[60:140, 40:120] = 1
     truth[90:190, 180:280] = 2
-    colors = np.array([(120, 120, 120), (200, 30, 30), (30, 60, 200)], np.uint8)
+    colors = np.uint8([(120, 120, 120), (200, 30, 30), (30, 60, 200)])
     return colors[truth], truth
 
 
@@ -344,7 +344,7 @@ def test_everything_merges_at_threshold_zero_and_nothing_at_one():
 
 
 def test_masks_of_labels():
-    labels = np.array([[2, 2, 5], [0, 5, 5]], np.int32)
+    labels = np.int32([[2, 2, 5], [0, 5, 5]])
     masks = label_masks(labels)
     assert_array_equal(masks.areas, [3, 2, 1])
     assert_array_equal(paint(masks), [[1, 1, 0], [2, 0, 0]])
@@ -377,8 +377,7 @@ def test_it_is_loaded_by_its_name_and_has_no_points():
 @pytest.mark.parametrize("option", [["--points", "8"], ["--crop-layers", "0"], ["--levels", "four"]])
 def test_the_command_refuses_options_of_sam(option, captured, capsys):
     command = ["embed", str(captured), "--segmenter", "graph", "--encoder", "drsplat-mini"]
-    assert main([*command, *option]) == 1
-    assert "--segmenter graph has masks of one level" in capsys.readouterr().err
+    assert "--segmenter graph has masks of one level" in error_of(capsys, *command, *option)
 
 
 def test_the_command_runs_without_torch(captured):

@@ -87,7 +87,7 @@ def test_runs_that_do_not_fit(counts, said):
 
 
 def test_runs_may_be_empty_in_between():
-    mask = decode_runs(np.array([0, 2, 0, 1, 3], np.int64), 3, 2, "")
+    mask = decode_runs(np.int64([0, 2, 0, 1, 3]), 3, 2, "")
     assert mask.tolist() == [[True, False], [True, False], [True, False]]
 
 

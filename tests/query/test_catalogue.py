@@ -24,6 +24,7 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from catalogued import boxes_of, write_scene
+from command_line import answer_of, error_of
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field, read_gaussians
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, FormatError, MismatchError, MissingExtraError
@@ -704,8 +705,7 @@ def test_the_command_line(scenes, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def said(*argv: str) -> dict[str, Any]:
-        assert main(["catalogue", *argv, "--json"]) == 0
-        document: dict[str, Any] = json.loads(capsys.readouterr().out)
+        document: dict[str, Any] = answer_of(capsys, "catalogue", *argv)
         return document
 
     added = said("add", "flats", *(str(scenes / name) for name in WORDS))
@@ -733,8 +733,7 @@ def test_the_command_line(scenes, tmp_path, monkeypatch, capsys):
         (["ask", "flats", "mug", "--picture", "a.gif"], r"written as .png or .jpg"),
         (["index", "flats"], "256 objects or more"),
     ):
-        assert main(["catalogue", *argv]) == 1
-        assert message in capsys.readouterr().err
+        assert message in error_of(capsys, "catalogue", *argv)
 
 
 # --- checksums ---

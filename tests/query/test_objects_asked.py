@@ -85,9 +85,9 @@ def test_a_row_of_an_object_has_the_mean_of_its_own_value_and_the_objects(scene)
 
 def test_a_piece_that_fits_better_than_its_thing_speaks_for_its_rows():
     """Closed form: a quarter of thing 0 reaches 0.3, and of its piece 0.4; loose rows keep their own."""
-    values = np.array([0.1, 0.2, 0.3, 0.4, 0.1, 0.8, 0.8, 0.5], np.float32)
-    things = np.array([0, 0, 0, 0, 0, 1, 1, -1], np.int32)
-    pieces = np.array([-1, -1, 1, 1, 1, -1, -1, -1], np.int32)
+    values = np.float32([0.1, 0.2, 0.3, 0.4, 0.1, 0.8, 0.8, 0.5])
+    things = np.int32([0, 0, 0, 0, 0, 1, 1, -1])
+    pieces = np.int32([-1, -1, 1, 1, 1, -1, -1, -1])
     got = of_objects(values, things, pieces)
     expected = [(0.1 + 0.3) / 2, (0.2 + 0.3) / 2, (0.3 + 0.4) / 2, (0.4 + 0.4) / 2, (0.1 + 0.4) / 2, 0.8, 0.8, 0.5]
     assert_allclose(got, expected, rtol=1e-6)

@@ -16,6 +16,7 @@ from PIL import Image
 
 import drsplat as ds
 from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
+from command_line import answer_of
 from drsplat.cli import main
 from drsplat.errors import FormatError, InputError, MismatchError, MissingExtraError
 from drsplat.formats.captures import SparsePoints, read_sparse_points
@@ -378,8 +379,7 @@ def test_other_failures_to_write_stay_what_they_are(tmp_path):
 
 
 def run_verb(capsys, *arguments: str) -> dict[str, object]:
-    assert main(["train", *arguments, "--device", "cpu", "--json"]) == 0
-    answer: dict[str, object] = json.loads(capsys.readouterr().out)
+    answer: dict[str, object] = answer_of(capsys, "train", *arguments, "--device", "cpu")
     return answer
 
 

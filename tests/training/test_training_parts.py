@@ -174,7 +174,7 @@ def test_the_command_knows_the_everyday_iterations():
 def test_a_coarser_photo_has_means_of_pixels_and_uses_none_that_has_a_part_of_an_unused_one():
     pixels = np.zeros((4, 6, 3), np.uint8)
     pixels[:2, :2, 0] = [[10, 20], [30, 40]]
-    outside = np.array([5], np.int32)  # top right
+    outside = np.int32([5])  # top right
     smaller = Photo(pixels, outside).smaller(3, 2)
     assert smaller.pixels[..., 0].tolist() == [[25, 0, 0], [0, 0, 0]]
     assert smaller.unused.tolist() == [2]
