@@ -27,6 +27,7 @@ from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.moving import Frames, Moving
 from glb_files import Read
+from scenes import random_gaussians
 from toy_capture import PER_THING
 
 HALF = np.float32([0, 0, 0.5])
@@ -433,3 +434,10 @@ def test_a_plain_ply_has_the_rows_that_the_numbers_beside_it_are_of(room, capsys
     assert not (room / "plain.objects.json").exists()
     assert_array_equal(plain.means, named.means)
     assert_array_equal(np.load(room / "ids.npy"), named.extra["object_id"])
+
+
+def test_objects_that_there_are_not_are_refused():
+    for wrong, said in (({"object_of": np.zeros(2, np.int32)}, "from -1 to -1"),
+                        ({"relevancy": np.zeros(3, np.float32)}, "expected 2 numbers")):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            LabelledScene(random_gaussians(2), **wrong)

@@ -1,6 +1,5 @@
 """Fields whose scene was compressed: the same features at Gaussians that have moved a little, in another order."""
 
-import json
 import shutil
 from contextlib import suppress
 from dataclasses import replace
@@ -148,21 +147,6 @@ def test_names_go_along():
     beyond = Label("mug", "6-old", np.array([[3, 5], [6, 1 << 62]]), np.zeros(3))  # spans of a damaged file
     carried = carry_label(beyond, assignment)
     assert carried.spans.tolist() == [[0, 2]]
-
-
-def test_two_objects_of_one_name_keep_it_and_carrying_again_adds_none(known, tmp_path, capsys):
-    field, scene = known
-    ds.write_gaussians(tmp_path / "scene.ply", scene)
-    ds.write_gaussians(tmp_path / "new.ply", shuffled(scene)[0])
-    field.save(tmp_path / "old.field")
-    labels = [Label.of("mug", field.scene, np.arange(begin, begin + 500), np.zeros(3)) for begin in (0, 500)]
-    LabelFile.beside(tmp_path / "old.field").carry(labels)
-    old, new, scene_file, there = (str(tmp_path / name) for name in ("old.field", "new.ply", "scene.ply", "new.field"))
-    carry = ["field", "carry", old, new, "--scene", scene_file, "-o", there, "--json"]
-    for more in ([], ["--overwrite"]):
-        assert main([*carry, *more]) == 0
-        assert json.loads(capsys.readouterr().out)["labels"] == ["mug", "mug"]
-        assert [len(label) for label in LabelFile.beside(there).read()] == [500, 500]
 
 
 def test_names_that_cannot_be_read_leave_no_field_behind(known, tmp_path, capsys):

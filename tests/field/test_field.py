@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from drsplat.base import contents
 from drsplat.errors import FormatError, MismatchError
-from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
+from drsplat.field import LanguageField, build_field, load_field
 from drsplat.field.codes import Codebook, Mixture, train_codebook
 from drsplat.field.codes.mixture import MixtureCode
 from drsplat.field.evidence.aggregation import Aggregated
@@ -94,14 +94,6 @@ def test_features_are_the_normalised_means_of_their_evidence():
     assert ((field.feature(slice(None)) * expected).sum(axis=1)).min() > 0.99
 
 
-@pytest.mark.parametrize("make", [toy_field, residual_field])
-def test_scores_are_cosines(make):
-    field, query = make(), 7 * unit_rows(default_rng(1), 1, 32)[0]
-    decoded = field.codebook.decode(field.code.codes()).astype(np.float64)
-    expected = decoded @ (query / 7) / np.linalg.norm(decoded, axis=1)
-    assert_allclose(field.scores(query), expected, atol=1e-4)
-
-
 @few
 @given(st.integers(1, 6), st.integers(0, 2**32))
 def test_relevancy_is_the_least_two_way_softmax(count, seed):
@@ -118,13 +110,6 @@ def test_relevancy_is_the_least_two_way_softmax(count, seed):
         toy_field().with_negatives(unit_rows(rng, 2, 32)).relevancy(query, negatives),
     ):
         assert_allclose(relevancy, np.min(softmax, axis=0), atol=1e-6)
-
-
-@few
-@given(st.floats(-1, 1), st.floats(-1, 1))
-def test_relevancy_of_scores(score, negative):
-    value = relevancy_from_scores(np.array([score], "f"), np.array([negative], "f"))[0]
-    assert value == pytest.approx(1 / (1 + np.exp(10 * (negative - score))), abs=1e-6)
 
 
 def test_relevancy_without_negatives_is_refused():

@@ -276,14 +276,18 @@ def tiles(toy: Path) -> Tiles:
     return read_tiles(toy / "scene.tiles")
 
 
+def inputs(toy: Path) -> tuple[list[ds.View], ds.formats.langsplat.FeatureFolder]:
+    return ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
+
+
 @pytest.fixture(scope="module")
 def views(toy: Path) -> list[ds.View]:
-    return ds.read_views(toy / "capture")
+    return inputs(toy)[0]
 
 
 @pytest.fixture(scope="module")
 def features(toy: Path) -> ds.formats.langsplat.FeatureFolder:
-    return ds.read_features(toy / "capture/language_features")
+    return inputs(toy)[1]
 
 
 @pytest.fixture(scope="module")

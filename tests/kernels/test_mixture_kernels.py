@@ -1,7 +1,5 @@
 """The mixture code's kernels against their float64 twins."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -225,16 +223,6 @@ def test_the_best_are_those_of_all_scores_to_the_bit(count, per_row):
         assert (index == scores.argmax(axis=0)).mean() > 0.99
 
 
-def test_the_twin_of_best_is_argmax():
-    blocks, dictionary = random_code(default_rng(6))
-    queries = unit_rows(default_rng(7), 9, 48)
-    index, best, runner_up = reference_mixture.mixture_best(blocks, dictionary, queries)
-    scores = reference_mixture.mixture_scores(blocks, dictionary, queries)
-    assert_array_equal(index, scores.argmax(axis=0))
-    assert_array_equal(best, scores.max(axis=0))
-    assert (runner_up <= best).all()
-
-
 @few
 @given(st.integers(0, 10_000), st.floats(-0.3, 0.3), st.booleans())
 def test_selections_are_those_of_all_scores(seed, threshold, floored):
@@ -293,16 +281,6 @@ def test_instruction_sets_and_groupings_of_queries_change_no_bit_of_a_score():
         for i in (0, 69):
             alone = mixture_scores(blocks, dictionary, queries[i : i + 1], isa=isa)
             assert_array_equal(alone[0], expected[i])
-
-
-def test_python_threads_do_not_disturb_each_other():
-    rng = default_rng(11)
-    blocks, dictionary = random_code(rng, 9000)
-    queries = unit_rows(rng, 12, 48)
-    expected = mixture_scores(blocks, dictionary, queries)
-    with ThreadPoolExecutor(4) as pool:
-        found = pool.map(lambda q: mixture_scores(blocks, dictionary, q[None])[0], list(queries))
-        assert_array_equal(np.stack(list(found)), expected)
 
 
 @every_isa

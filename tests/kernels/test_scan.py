@@ -1,7 +1,5 @@
 """The scan kernels: closed forms, the float64 twin, every instruction set, any shape, any thread."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -208,17 +206,6 @@ def test_any_number_of_threads_gives_the_same_bits(isa):
     for threads in (2, 3, 7):
         for a, b in zip(first, everything(threads), strict=True):
             assert_array_equal(a, b)
-
-
-@every_isa
-def test_several_python_threads_at_once(isa):
-    asked = [drawn(seed, 3000, 16, 3) for seed in range(8)]
-    alone = [scan_scores(*each, Scanning(isa=isa)) for each in asked]
-    with ThreadPoolExecutor(8) as pool:
-        for _ in range(3):
-            together = pool.map(lambda each: scan_scores(*each, Scanning(threads=2, isa=isa)), asked)
-            for a, b in zip(alone, together, strict=True):
-                assert_array_equal(a, b)
 
 
 @every_isa

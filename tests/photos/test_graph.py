@@ -98,12 +98,6 @@ def test_masks_are_a_partition_largest_first(image):
     assert masks.areas.min() > 0
 
 
-@settings(max_examples=10)
-@given(IMAGES)
-def test_same_image_same_masks(image):
-    assert_array_equal(paint(large(image)), paint(large(image.copy())))
-
-
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (2, 3), (37, 2), (240, 320)])
 def test_a_flat_image_is_one_mask(size):
     masks = large(np.full((*size, 3), 90, np.uint8))

@@ -27,7 +27,7 @@ from catalogued import boxes_of, write_scene
 from command_line import answer_of, error_of
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field, read_gaussians
 from drsplat.cli import main
-from drsplat.errors import DrSplatWarning, FormatError, MismatchError, MissingExtraError
+from drsplat.errors import DrSplatWarning, MismatchError, MissingExtraError
 from drsplat.formats.checksums import sealed
 from drsplat.formats.claiming import claimed_output
 from drsplat.formats.tiles import write_tiles
@@ -671,33 +671,6 @@ def test_thumbnails_that_are_none(filled):
             replace(entry, thumbnail=data).picture()
 
 
-def test_damaged_files_are_told_or_harm_nothing(filled, tmp_path):
-    """Cut short, with bytes turned, or gone: an answer, or an error that names the catalogue."""
-    import shutil
-
-    rng = default_rng(5)
-    told = 0
-    files = [file.relative_to(filled.path) for file in sorted(filled.path.rglob("*")) if file.is_file()]
-    for number in range(24):
-        copy = tmp_path / str(number)
-        shutil.copytree(filled.path, copy)
-        file = copy / files[number % len(files)]
-        data = bytearray(file.read_bytes())
-        if number % 3 == 0:
-            data = data[: int(rng.integers(0, len(data)))]
-        else:
-            for at in rng.integers(0, len(data), 8):
-                data[at] ^= int(rng.integers(1, 256))
-        file.write_bytes(data)
-        try:
-            catalogue = Catalogue.open(copy)
-            assert len(catalogue.ask("mug")) <= 6
-            catalogue.scenes()
-        except FormatError as error:
-            told += str(copy) in str(error)
-    assert told > 3
-
-
 # --- the command line ---
 
 
@@ -754,14 +727,17 @@ def answer_to(catalogue: Catalogue, seed: int = 6) -> list[tuple[str, int, float
     return [(entry.scene, entry.object_id, entry.score) for entry in answer.entries]
 
 
-def test_a_flipped_bit_never_changes_an_answer(tmp_path):
+def test_a_flipped_bit_or_a_cut_never_changes_an_answer(tmp_path):
     catalogue, rng = two_rooms(tmp_path), default_rng(8)
     expected = answer_to(catalogue)
     for file in sorted(path for path in catalogue.path.rglob("*") if path.is_file()):
         good = file.read_bytes()
-        for at in (0, len(good) - 1, *rng.integers(0, len(good), 4).tolist()):
+        for at in (0, len(good) - 1, *rng.integers(0, len(good), 4).tolist(), None):
             damaged = bytearray(good)
-            damaged[at] ^= 1 << int(rng.integers(8))
+            if at is None:
+                del damaged[len(good) // 2 :]
+            else:
+                damaged[at] ^= 1 << int(rng.integers(8))
             file.write_bytes(damaged)
             with malformed(re.escape(file.name)):
                 answer_to(Catalogue.open(catalogue.path))
