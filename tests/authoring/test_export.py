@@ -268,7 +268,7 @@ def test_in_python(room):
 
 
 def test_groups_that_a_part_is_in_stay_with_it():
-    def thing(name: str, parent: int, number: int = -1) -> Thing:
+    def thing(name, parent, number=-1):
         return Thing(name, 1.0, np.zeros(3), np.eye(3), np.ones(3), parent, None, number)
 
     things = (thing("a", 2, 0), thing("b", 0, 1), thing("c", -1, 2))

@@ -42,7 +42,7 @@ STEP = 0.2
 
 
 @pytest.fixture(autouse=True)
-def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_candidates(monkeypatch) -> None:
     """Choose from fewer cameras, which takes less time."""
     for name, count in (("MAX_PLACES", 12), ("NUM_TARGETS", 8), ("FAR_VIEWS", 16), ("NEAR_VIEWS", 3)):
         monkeypatch.setattr(candidates, name, count)
@@ -307,7 +307,7 @@ def test_a_run_that_is_stopped_leaves_what_was_there(overwrite, tmp_path, monkey
     before = files_of(tmp_path)
     write = taking.write_picture
 
-    def stopping(path: Path, *rest: object) -> None:
+    def stopping(path, *rest):
         if path.name == "view_0004.png":
             raise KeyboardInterrupt
         write(path, *rest)

@@ -59,8 +59,8 @@ def test_few_pairs_are_compared(monkeypatch):
     random, compared = default_rng(0), 0
     points, places = shell(random, 1500), random.uniform(-1.5, 1.5, (20_000, 3))
 
-    def counting(real: object, per_place: bool) -> object:
-        def compute(places: np.ndarray, points: np.ndarray, *more: object) -> object:
+    def counting(real, per_place):
+        def compute(places, points, *more):
             nonlocal compared
             compared += len(points) * (len(places) if per_place else 1)
             return real(places, points, *more)

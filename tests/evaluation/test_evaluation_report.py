@@ -180,7 +180,7 @@ def test_bars_are_as_long_as_their_values():
 
 
 @pytest.fixture
-def judged(data: Path, tmp_path: Path) -> dict[str, str]:  # noqa: F811
+def judged(data, tmp_path) -> dict[str, str]:  # noqa: F811
     """A scene, perfect features of it, and the texts' vectors."""
     encoder = ds.WordEncoder()
     vectors = encoder.encode_texts(list(THINGS))

@@ -65,7 +65,7 @@ def record(view: ds.View, gaussians: ds.Gaussians) -> dict[str, object]:
 
 
 @pytest.fixture
-def data(tmp_path: Path) -> Path:
+def data(tmp_path) -> Path:
     """One scene "room" of three photos, the first and last of them labelled."""
     return write_room(tmp_path / "lerf_ovs", EYES)
 
@@ -88,7 +88,7 @@ def write_room(root: Path, eyes: tuple[tuple[float, float, float], ...]) -> Path
 
 
 @pytest.fixture
-def room(data: Path) -> LerfScene:
+def room(data) -> LerfScene:
     return read_lerf_scene(data, "room")
 
 
@@ -196,7 +196,7 @@ def test_macro_and_micro_differ_where_scenes_have_other_sizes(room, tmp_path):
 
 
 def test_choosers_are_columns_of_their_own(room, tmp_path):
-    def halfway(scores: np.ndarray) -> float:
+    def halfway(scores):
         return float(np.nanmin(scores) + np.nanmax(scores)) / 2
 
     predict(room, balls(), PERFECT, tmp_path, choosers={"halfway": (halfway, "between least and most")})

@@ -50,7 +50,7 @@ def write_scene(folder: Path, seed: int = 0, size: float = 0.3) -> tuple[Path, G
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> ScannetScene:
+def scene(tmp_path) -> ScannetScene:
     return read_nyu40_scene(*rearranged(write_scene(tmp_path / "data")))
 
 
@@ -189,7 +189,7 @@ def test_means_over_scenes_and_over_queries(tmp_path):
 
 
 def test_choosers_have_a_threshold_per_query(scene, tmp_path):
-    def never(scores: np.ndarray) -> float:
+    def never(scores):
         return float(np.nanmax(scores))
 
     scannet_volume.predict(scene, knowing(scene), tmp_path, choosers={"never": (never, "no one")})
@@ -203,7 +203,7 @@ def test_the_automatic_column_is_what_is_answered(scene, tmp_path):
     truth = scene.pseudo_labels
     number = {name: k for k, name in enumerate(LABELS.prompts, start=1)}
 
-    def scores(text: str) -> np.ndarray:
+    def scores(text):
         return np.where(truth == number[text], 0, 1).astype(np.float32)
 
     scorer = Scorer("answers", len(truth), scores, 0.5, (), answer=lambda text: (1 - scores(text), 0.25))

@@ -3,7 +3,6 @@
 import shutil
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -183,7 +182,7 @@ def test_the_command_does_what_the_refusal_says(known, tmp_path, capsys):
 
 
 @pytest.fixture
-def named(known, tmp_path: Path) -> list[str]:
+def named(known, tmp_path) -> list[str]:
     """Write a field with two objects of one name and its scene in another order; return the command."""
     field, scene = known
     ds.write_gaussians(tmp_path / "scene.ply", scene)

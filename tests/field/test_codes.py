@@ -141,7 +141,7 @@ def test_a_code_that_does_not_fit_its_codebook_is_refused():
     code = pq_code(book, random_codes(rng, book, 300))
     ids = code.coarse_ids
     assert ids is not None
-    bad: list[tuple[dict[str, object], str]] = [
+    bad = [
         ({"grouped": code.grouped[:1]}, "grouped codes: expected uint8"),
         ({"grouped": code.grouped[:, :5]}, "grouped codes: expected uint8"),
         ({"inverse_norms": -code.inverse_norms}, "0 or more"),

@@ -234,7 +234,7 @@ def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(make, tmp_path, monk
 
 
 def is_mapped(array: np.ndarray) -> bool:
-    base: object = array
+    base = array
     while isinstance(base, np.ndarray) and not isinstance(base, np.memmap):
         base = base.base
     return isinstance(base, np.memmap)
@@ -284,7 +284,7 @@ def test_a_failed_save_leaves_the_old_field(exchange, step, tmp_path, monkeypatc
     path = tmp_path / "a.field"
     toy_field(0).save(path)
 
-    def fail(*_: object) -> None:
+    def fail(*_):
         raise OSError("disk full")
 
     with monkeypatch.context() as patch:
@@ -333,7 +333,7 @@ def test_a_killed_save_leaves_one_whole_field(tmp_path):
 def test_another_scene_is_refused():
     rng = default_rng(8)
 
-    def gaussians(count: int) -> Gaussians:
+    def gaussians(count):
         means, quats = rng.random((count, 3), np.float32), np.zeros((count, 4), np.float32)
         columns = np.ones((count, 3), np.float32), np.ones(count, np.float32)
         return Gaussians(means, quats, *columns, np.zeros((count, 1, 3), np.float32))
@@ -444,7 +444,7 @@ def manifest_of(path: Path) -> dict:
 
 
 @pytest.fixture
-def saved(tmp_path: Path) -> Path:
+def saved(tmp_path) -> Path:
     toy_field(0).with_negatives(unit_rows(default_rng(0), 2, 32)).save(tmp_path / "a")
     return tmp_path / "a"
 

@@ -153,7 +153,7 @@ def test_damaged_objects_are_an_error_or_the_same(tmp_path, bounded_memory):
         (tmp_path / file).write_bytes(content)
     expected = with_objects()[0].objects
 
-    def read(path: Path) -> None:
+    def read(path):
         found = load_field(path.parent).objects
         assert found is not None
         for name, array in expected.tensors().items():
@@ -169,7 +169,7 @@ def test_damaged_tensors(tmp_path, bounded_memory):
     write_tensors(tmp_path / "a", arrays, {"key": "value"})
     without_checksums(tmp_path / "a")
 
-    def touch(path: Path) -> None:
+    def touch(path):
         with np.errstate(all="ignore"):
             for array in map_tensors(path)[0].values():
                 array.sum()

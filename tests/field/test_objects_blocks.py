@@ -38,7 +38,7 @@ def row_of_things(count: int = 6, each: int = 150, seed: int = 0) -> tuple[ds.Ga
 
 
 @pytest.fixture
-def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_blocks(monkeypatch) -> None:
     """Of three thousand weights each; three or four for a row of things."""
     monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
     monkeypatch.setattr(finding, "WEIGHTS_PER_ROW", 1000)
@@ -221,7 +221,7 @@ def test_no_room_is_told_and_nothing_is_lost(tmp_path, small_blocks, monkeypatch
     how = {"parts": str(tmp_path / "parts"), "views": [], "threads": 1}
     writing, count = store.write_tensors, 0
 
-    def full(path: Path, *given: object, **more: object) -> None:
+    def full(path, *given, **more):
         nonlocal count
         count += ".nodes." in path.name
         if count == 2:

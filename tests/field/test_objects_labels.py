@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ def field() -> LanguageField:
 
 
 @pytest.fixture
-def labels(tmp_path: Path) -> LabelFile:
+def labels(tmp_path) -> LabelFile:
     return LabelFile.beside(tmp_path / "a.field")
 
 

@@ -215,7 +215,7 @@ def test_what_does_not_belong_together_is_refused(gaussians, registration):
 
 def test_each_stage_that_takes_long_can_be_followed(gaussians):
     views, features = capture(4)
-    told: dict[str, int] = {}
+    told = {}
 
     def follow(items, description):
         for item in items:
@@ -263,7 +263,7 @@ def test_masks_lie_on_the_photo_as_stored():
     on_photo = distort_points(view, in_pinhole)
     assert np.linalg.norm(on_photo - in_pinhole) > 3
 
-    def weight_of_a_mask_around(place) -> float:
+    def weight_of_a_mask_around(place):
         ids = np.full((48, 64), -1, np.int32)
         x, y = np.floor(place).astype(int)
         ids[y - 1 : y + 2, x - 1 : x + 2] = 0

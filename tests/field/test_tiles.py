@@ -58,7 +58,7 @@ def tiled(gaussians: ds.Gaussians, folder: Path, rows: int = 50) -> Tiles:
 
 
 @pytest.fixture(scope="module")
-def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def toy(tmp_path_factory) -> Path:
     folder = write_toy_capture(tmp_path_factory.mktemp("toy"))
     cut(blocks_of([folder / "scene.ply"]), folder / "scene.tiles", 37)
     return folder
@@ -272,7 +272,7 @@ def test_few_tiles_are_held(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def tiles(toy: Path) -> Tiles:
+def tiles(toy) -> Tiles:
     return read_tiles(toy / "scene.tiles")
 
 
@@ -281,12 +281,12 @@ def inputs(toy: Path) -> tuple[list[ds.View], ds.formats.langsplat.FeatureFolder
 
 
 @pytest.fixture(scope="module")
-def views(toy: Path) -> list[ds.View]:
+def views(toy) -> list[ds.View]:
     return inputs(toy)[0]
 
 
 @pytest.fixture(scope="module")
-def features(toy: Path) -> ds.formats.langsplat.FeatureFolder:
+def features(toy) -> ds.formats.langsplat.FeatureFolder:
     return inputs(toy)[1]
 
 
@@ -297,13 +297,13 @@ def at_once(tiles, views, features) -> ds.Registration:
 
 
 @pytest.fixture
-def parts(tmp_path: Path) -> Path:
+def parts(tmp_path) -> Path:
     return tmp_path / "parts"
 
 
 def counted(*given: object, **more: object) -> tuple[ds.Registration, Work]:
     """A registration in tiles, and how much was done for it."""
-    told: list[Work] = []
+    told = []
     made = register_tiles(*given, **more, tell=told.append)
     return made, told[0]
 

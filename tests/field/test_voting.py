@@ -77,7 +77,7 @@ def test_a_thing_and_the_ground_are_not_joined():
 def test_most_photos_decide():
     """In some the sheet's outline is taken for the print's: there its union is that of print and ground."""
 
-    def misled(tree: RegionTree) -> RegionTree:
+    def misled(tree):
         pairs = np.int32([[0, 1], [4, 3], [5, 2]])
         return RegionTree(tree.labels, pairs, tree.touching, tree.lengths, tree.strengths)
 

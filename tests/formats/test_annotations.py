@@ -1,7 +1,6 @@
 """Annotations: kept beside the scene as GeoJSON has features."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from refusing import malformed, refused
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> AnnotationFile:
+def file(tmp_path) -> AnnotationFile:
     return AnnotationFile.beside(tmp_path / "scene.ply")
 
 

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -256,12 +255,12 @@ def test_checksums_are_those_of_zlib(tmp_path):
 
 
 def test_files_are_on_the_disk_before_they_get_their_name(tmp_path, monkeypatch):
-    seen: list[str] = []
+    seen = []
     names = {"fsync": "fsync", "replace": "name", "rename": "name"}
     for name, kind in names.items():
         real = getattr(os, name)
 
-        def spy(*given: object, real: Callable[..., object] = real, kind: str = kind) -> object:
+        def spy(*given, real=real, kind=kind):
             seen.append(kind)
             return real(*given)
 

@@ -188,7 +188,7 @@ def test_writing_refuses_what_it_must(tmp_path):
     path = tmp_path / "scene.ply"
     write_gaussians(path, g)
     before = path.read_bytes()
-    refusals: list[tuple[Path, dict[str, np.ndarray], str]] = [
+    refusals = [
         (path, {}, "overwrite=True"),
         (tmp_path / "scene.spz", {}, "suffix .ply"),
         (tmp_path / "no" / "scene.ply", {}, "no folder"),

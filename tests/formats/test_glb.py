@@ -419,7 +419,7 @@ def test_what_cannot_be_read_is_said(path, value, message):
 
 
 def test_a_degree_of_harmonics_is_whole_or_not_there():
-    def without(document: dict) -> None:
+    def without(document):
         del document["meshes"][0]["primitives"][0]["attributes"][f"{SPLATTING}:SH_DEGREE_2_COEF_1"]
 
     with malformed("15 coefficients of harmonics"):
@@ -445,7 +445,7 @@ def test_rows_that_are_no_gaussians_are_named():
 def test_bytes_that_are_named_many_times_over_do_not_unfold():
     """Three thousand primitives of the same hundred thousand rows, in a file of some hundred kilobytes."""
 
-    def many(document: dict) -> None:
+    def many(document):
         primitives = document["meshes"][0]["primitives"]
         primitives *= 3000
 

@@ -41,12 +41,12 @@ STILL = {"cam_from_world": np.eye(4).tolist()}
 
 
 @pytest.fixture
-def room(half_room: Path, tmp_path: Path) -> Path:
+def room(half_room, tmp_path) -> Path:
     return Path(shutil.copytree(half_room, tmp_path / "room"))
 
 
 @pytest.fixture
-def views(full_room: Path) -> list[View]:
+def views(full_room) -> list[View]:
     """Of the whole room; the first two are those of half of it."""
     return read_views(full_room)
 
@@ -122,7 +122,7 @@ def test_features_that_are_sent_are_taken_as_they_are(room, full_room, views):
     features = sent_features(full_room, room, view)
     take(room, sent(view, features=features))
 
-    def load(*_: object) -> PhotoModels:
+    def load(*_):
         raise AssertionError("no model is needed")
 
     add(room, load)
@@ -184,14 +184,14 @@ def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_oth
     one, other = views[2:]
 
     class Failing(MiniEncoder):
-        def encode_images(self, images: Any) -> Any:
+        def encode_images(self, images):
             rows = super().encode_images(images)
             return rows * np.nan if self.fails(images) else rows
 
-        def on_one_thread(self) -> "Failing":
+        def on_one_thread(self):
             return self
 
-        def fails(self, images: Any) -> bool:
+        def fails(self, images):
             return bool(np.concatenate([image.reshape(-1, 3) for image in images])[:, 1].max() > 250)
 
     green = as_png(Image.fromarray(np.tile(np.uint8([[[0, 255, 0]], [[255, 0, 0]]]), (36, 96, 1))))
@@ -241,7 +241,7 @@ def test_only_so_many_wait(room, views):
     take(room, sent(other), most_waiting=1)
 
 
-WRONG: list[tuple[dict[str, Any], str]] = [
+WRONG = [
     ({"name": "../x.jpg"}, "expected a file name"),
     ({"name": "/x.jpg"}, "expected a file name"),
     ({"name": ".x.jpg"}, "expected the name of a photo"),
@@ -295,7 +295,7 @@ def test_forms_of_a_pose_are_one(room, views):
     matrix = view.cam_from_world
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
     opengl = np.linalg.inv(matrix) @ np.diag([1.0, -1, -1, 1])
-    forms: tuple[dict[str, Any], ...] = (
+    forms = (
         {"cam_from_world": matrix.tolist()},
         {"quaternion": [2 * w, 2 * x, 2 * y, 2 * z], "translation": matrix[:3, 3].tolist()},
         {"transform_matrix": opengl.tolist()},
@@ -405,7 +405,7 @@ def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(half_room, f
     room, body, features = tmp_path / "room", sent(view), sent_features(full_room, tmp_path / "x", view)
     body = replace(body, features=features)
 
-    def renew() -> None:
+    def renew():
         shutil.rmtree(room, ignore_errors=True)
         shutil.copytree(half_room, room)
 
@@ -430,7 +430,7 @@ def test_a_kill_while_views_are_added_loses_none(half_room, full_room, tmp_path,
     room, waiting = tmp_path / "room", Path(shutil.copytree(half_room, tmp_path / "waiting"))
     take(waiting, *map(sent, views[2:]))
 
-    def renew() -> None:
+    def renew():
         shutil.rmtree(room, ignore_errors=True)
         shutil.copytree(waiting, room)
 

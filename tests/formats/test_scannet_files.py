@@ -47,7 +47,7 @@ def ply_bytes(with_faces: bool = True) -> bytes:
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Path:
+def scene(tmp_path) -> Path:
     folder = tmp_path / "scene0000_00"
     folder.mkdir()
     stem = folder / "scene0000_00"

@@ -70,8 +70,7 @@ def leaves_of(node: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def document_of(path: Path) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(path.read_text())
-    return document
+    return json.loads(path.read_text())
 
 
 def chunk(path: Path, number: int) -> Gaussians:
@@ -150,7 +149,7 @@ def test_tiles_are_written_without_the_whole_scene(tmp_path, monkeypatch, capsys
     ds.write_gaussians(tmp_path / "scene.ply", gaussians)
     cut([Block(source) for source in sources_of(tmp_path / "scene.ply")], tmp_path / "city.tiles", 100)
 
-    def refused(_: Tiles) -> Gaussians:
+    def refused(_):
         raise AssertionError("the whole scene was loaded")
 
     monkeypatch.setattr(Tiles, "gaussians", refused)

@@ -47,7 +47,7 @@ def bounded_memory() -> Iterator[None]:
 
 
 @pytest.fixture
-def memory_path(tmp_path: Path) -> Iterator[Path]:
+def memory_path(tmp_path) -> Iterator[Path]:
     """A folder in memory where there is one: writing thousands of files to a disk takes minutes."""
     if not Path("/dev/shm").is_dir():
         yield tmp_path
@@ -153,7 +153,7 @@ def test_feature_files(memory_path, bounded_memory):
     rows = rng.normal(size=(6, 5)).astype(np.float32)
     write_features(memory_path, "a", rng.integers(-1, 6, (4, 7, 9)).astype(np.int32), rows)
 
-    def read() -> None:
+    def read():
         features = FeatureFolder(memory_path, LEVELS.index("small"))["a"]
         ViewFeatures(features.mask_ids, features.embeddings)  # says so if they are not sound
         assert len(features.file_rows) == len(features.embeddings)
@@ -185,7 +185,7 @@ def test_photos(tmp_path, suffix):
     write_photos(tmp_path, [(0, 0, 0, 0, path.name)], 24, 16)
     view = View("a", np.array([[20.0, 0, 12], [0, 20, 8], [0, 0, 1]]), np.eye(4), 24, 16, path)
 
-    def read() -> None:
+    def read():
         assert load_image(view).shape == (16, 24, 3)
 
     with warnings.catch_warnings():

@@ -136,7 +136,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa):
     w, embeddings = random_weights(rng, 900, 200, 0.05), unit_rows(rng, 200, 96)
     centroids = rng.standard_normal((24, 256, 4)).astype(np.float32) / 10
 
-    def everything(threads: int) -> list[np.ndarray]:
+    def everything(threads):
         rows = weighted_rows(w.indptr, w.indices, w.data, embeddings, 0, 900, threads=threads, isa=isa)
         return [rows, pq_encode(rows, centroids, threads=threads, isa=isa)]
 

@@ -145,7 +145,7 @@ def test_threads_change_no_bit(isa):
     scene, values = "inside", default_rng(0).normal(size=(3000, 5)).astype(np.float32)
     arrays, view, mask_ids = arrays_of(scene), view_of(scene), segments_of(scene)
 
-    def everything(threads: int) -> list[np.ndarray]:
+    def everything(threads):
         return [
             *view_weights(arrays, view, mask_ids, 20, threads=threads, isa=isa),
             *topk_contributions(arrays, view, 7, threads=threads, isa=isa),
@@ -306,7 +306,7 @@ def test_contributions_sum_to_the_weights(first_hits):
     arrays, view, mask_ids = arrays_of("inside"), view_of("inside"), segments_of("inside")
     per_pixel = topk_contributions(arrays, view, 20, first_hits=first_hits)
     owned = (per_pixel.ids >= 0) & (mask_ids >= 0)[..., None]
-    sums: dict[tuple[int, int], float] = {}
+    sums = {}
     owners = np.broadcast_to(mask_ids[..., None], owned.shape)[owned]
     for gaussian, mask, weight in zip(
         per_pixel.ids[owned].tolist(), owners.tolist(), per_pixel.weights[owned].tolist(), strict=True

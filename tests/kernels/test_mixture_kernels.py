@@ -256,7 +256,7 @@ def test_threads_change_no_bit(isa):
     queries, given = unit_rows(rng, 40, 48), candidates_of(rng, 900, 90, 4)
     features = unit_rows(rng, 900, 48)
 
-    def everything(threads: int) -> list[np.ndarray]:
+    def everything(threads):
         how = {"threads": threads, "isa": isa}
         return [
             *mixture_encode(features, dictionary, given, 4, **how),

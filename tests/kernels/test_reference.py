@@ -89,7 +89,7 @@ def test_splats_are_dimmed_by_their_widths_and_less_the_larger_they_are(seed, fa
     rng = default_rng(seed)
     axes = rng.normal(size=(2, 2)) * 10 ** rng.uniform(-2, 2)
 
-    def dimmed(axes: np.ndarray) -> float:
+    def dimmed(axes):
         sharp = (axes @ axes.T)[[0, 0, 1], [0, 1, 1]][None]
         return float(dimming(sharp, sharp + BLUR * np.array([1, 0, 1]))[0])
 
@@ -309,7 +309,7 @@ def test_masks_split_the_weights():
     ],
 )
 def test_discontinuities_are_marked(opacity, depths, why):
-    def unsure(opacity: float, depths: list[float]) -> bool:
+    def unsure(opacity, depths):
         arrays = arrays_of([[0, 0, depth] for depth in depths], [opacity] * len(depths))
         return bool(reference.contributors(arrays, on_axis_view()).unsure[AXIS_PIXEL])
 

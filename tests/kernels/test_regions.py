@@ -78,7 +78,7 @@ def test_what_is_like_two_things_does_not_link_them(implementation):
     edges = np.int32([[a, b] for a in range(7) for b in range(a + 1, 7) if not (a < 3 and b > 3)])
     rule = MergeRule(soft=0.1, far=1.0, smallest=3, tolerance=1.0)
 
-    def apart(rule: MergeRule) -> bool:
+    def apart(rule):
         parents = implementation(*a_link(), edges, (0.45,), rule).parents
         return bool(parents[0] != parents[6])
 

@@ -192,7 +192,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa):
     one = QueryTables(tables.luts[:1], tables.coarse[:1] if tables.coarse is not None else None)
     floor = np.linspace(-0.5, 0.5, 70_001).astype(np.float32)
 
-    def everything(threads: int) -> list[np.ndarray]:
+    def everything(threads):
         how = Scanning(threads=threads, isa=isa)
         rough = HYBRID._replace(threads=threads, isa=isa)
         return [
@@ -256,7 +256,7 @@ def test_tables_are_inner_products(isa, subvectors, dim):
 def test_what_does_not_fit_is_refused():
     rows, tables = drawn(10, 300, 4, 2, coarse=3)
     ids, coarse = rows.coarse_ids, tables.coarse
-    bad: list[tuple[GroupedRows, QueryTables, str]] = [
+    bad = [
         (rows._replace(codes=rows.codes[:1]), tables, r"expected codes \(2, L, 256\)"),
         (rows._replace(codes=rows.codes[:, :0]), tables, "expected codes"),
         (rows, tables._replace(luts=tables.luts[:, :3]), "expected tables"),

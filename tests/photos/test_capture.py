@@ -45,14 +45,14 @@ def views() -> list[View]:
 
 
 @pytest.fixture(scope="module")
-def good_photos(views: list[View], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def good_photos(views, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("good") / "photos"
     write_room(folder, views)
     return folder
 
 
 @pytest.fixture(scope="module")
-def mixed_photos(views: list[View], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mixed_photos(views, tmp_path_factory) -> Path:
     """The room, and beside it what else a folder may hold."""
     folder = tmp_path_factory.mktemp("mixed") / "photos"
     named = [replace(view, name=f"room/Über {k} .jpg") for k, view in enumerate(views)]
@@ -87,7 +87,7 @@ def _write_transparent(path: Path, source: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def mixed(mixed_photos: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def mixed(mixed_photos, tmp_path_factory) -> tuple[Path, dict[str, Any]]:
     output = tmp_path_factory.mktemp("mixed_capture") / "capture"
     return output, capture(mixed_photos, output, threads=2)
 
@@ -206,7 +206,7 @@ def test_an_interrupted_run_says_how_to_go_on_and_keeps_photos(good_photos, tmp_
 def test_a_run_that_is_stopped_while_it_moves_things_into_place_is_finished_by_the_next(
     good_photos, tmp_path, monkeypatch
 ):
-    def stop(*_: object) -> None:
+    def stop(*_):
         raise KeyboardInterrupt
 
     record = capture(good_photos, tmp_path / "c", threads=1)

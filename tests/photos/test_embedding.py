@@ -55,17 +55,17 @@ def a_view(folder: Path, name: str, width: int = 24, height: int = 18, seed: int
 
 
 @pytest.fixture
-def views(tmp_path: Path) -> list[View]:
+def views(tmp_path) -> list[View]:
     return [a_view(tmp_path, name) for name in ("a.png", "b.png", "cam0/b.png")]
 
 
 @pytest.fixture
-def out(tmp_path: Path) -> Path:
+def out(tmp_path) -> Path:
     return tmp_path / "out"
 
 
 @pytest.fixture
-def embedded(views: list[View], out: Path) -> Path:
+def embedded(views, out) -> Path:
     """The folder that the views are embedded in."""
     embed_quietly(views, out)
     return out
@@ -626,7 +626,7 @@ def test_an_encoder_of_words_alone_is_refused(three_balls, fake_models, monkeypa
 def built_in_only(monkeypatch) -> None:
     from drsplat.fronts.scanning import choosing
 
-    def missing() -> None:
+    def missing():
         raise MissingExtraError("transformers is not installed: install it")
 
     monkeypatch.setattr(choosing, "models_library", missing)

@@ -230,7 +230,7 @@ def contracted(whole: RegionGraph, owner: np.ndarray) -> RegionGraph:
     np.minimum.at(boxes, owner, whole.boxes)
     for i in set(owner.tolist()):
         boxes[i] = whole.boxes[owner == i].min(0)
-    borders: dict[tuple[int, int], np.ndarray] = {}
+    borders = {}
     for pair, border in zip(owner[whole.pairs], whole.borders, strict=True):
         a, b = sorted(pair.tolist())
         if a == b:
@@ -387,7 +387,7 @@ def test_the_command_runs_without_torch(captured):
 
 
 @pytest.fixture
-def captured(tmp_path: Path) -> Path:
+def captured(tmp_path) -> Path:
     """A capture of one photo, three flat colours."""
     (tmp_path / "images").mkdir()
     Image.fromarray(flat_squares()[0]).save(tmp_path / "images" / "a.png")
@@ -462,9 +462,9 @@ def test_the_network_is_written_as_it_is_read(tmp_path):
 
 def test_what_the_network_is_to_learn_has_no_loss():
     torch = pytest.importorskip("torch")
-    from world.segmenter.sight import Batch, batches, border_loss, touching, trait_loss
+    from world.segmenter.sight import batches, border_loss, touching, trait_loss
 
-    batch: Batch = next(batches([made_photo(seed, times=2) for seed in range(4)], default_rng(0)))
+    batch = next(batches([made_photo(seed, times=2) for seed in range(4)], default_rng(0)))
     truth = touching(batch.things)
     labels = batch.things[0].numpy()
     assert_array_equal(truth[0].numpy() > 0, find_boundaries(labels, connectivity=1, mode="thick"))
@@ -491,7 +491,7 @@ def test_the_mean_of_two_rules():
     blind, seeing = first_rule(features[:, :5] * 1.1, 4), first_rule(features, 6)
     blind = replace(blind, output_bias=np.array([0.7]))
 
-    def logit(rule: MergeRule, given: np.ndarray) -> np.ndarray:
+    def logit(rule, given):
         likely = rule.likelihood(given)
         return np.log(likely / (1 - likely))
 

@@ -145,7 +145,7 @@ def embed_line(folder: Path, output: Path, *more: str, masks: str = "room.field"
 
 
 @pytest.fixture(scope="module")
-def embedded(voted: Path) -> Path:
+def embedded(voted) -> Path:
     """Features of the masks of what was voted for."""
     assert cli.main(embed_line(voted, voted / "things")) == 0
     return voted / "things"

@@ -85,7 +85,7 @@ def test_box_nms_is_that_of_a_plain_loop(drawn, data, max_iou):
         shared = across * down
         return shared / (areas - shared) if areas > shared else 0.0
 
-    kept: list[int] = []
+    kept = []
     for i in sorted(range(len(boxes)), key=lambda i: -scores[i]):
         if not any(iou(boxes[i], boxes[j]) > max_iou for j in kept):
             kept.append(i)
@@ -717,7 +717,7 @@ def test_masks_are_those_of_the_pipeline_of_transformers(library, tmp_path):
     run_pipeline(folder, {name: {**common, **call} for name, call in calls.items()})
     theirs = {name: np.load(folder / f"{name}.npz")["masks"] for name in calls}
 
-    def ours(**changed) -> list[np.ndarray]:
+    def ours(**changed):
         s = replace(LOOSE, levels=("default",), **changed)
         masks = loaded(folder, s).segment(IMAGE)["default"]
         return [masks.full(i) for i in range(len(masks))]

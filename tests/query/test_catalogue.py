@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -49,7 +48,7 @@ WORDS = {"kitchen": ("red mug", "wooden table", "green plant"), "o'hara": ("blue
 
 
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scenes(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("scenes")
     for number, (name, words) in enumerate(WORDS.items()):
         write_scene(folder / name, words, moved=10.0 * number)
@@ -57,7 +56,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def filled(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
+def filled(scenes, tmp_path_factory) -> Catalogue:
     catalogue = Catalogue.open(tmp_path_factory.mktemp("c") / "flats.catalogue")
     for name in WORDS:
         catalogue.add(scenes / name)
@@ -65,7 +64,7 @@ def filled(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
 
 
 @pytest.fixture
-def catalogue(tmp_path: Path) -> Catalogue:
+def catalogue(tmp_path) -> Catalogue:
     """An empty one, in a folder that is not there yet."""
     return Catalogue.open(tmp_path / "c")
 
@@ -80,7 +79,7 @@ def rows_of(name: str, vectors: np.ndarray, encoder: EncoderIdentity, each: int 
     """Objects without pictures, of `each` descriptors."""
     count = len(vectors) // each
     numbers = [*range(count), -1]
-    columns: dict[str, Sequence[Any]] = {
+    columns = {
         "scene": [name] * (count + 1),
         "tile": [0] * (count + 1),
         "object_id": numbers,
@@ -368,10 +367,10 @@ def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path):
     own = unit(rng, 16)
     stays = np.repeat(own[None], 20, axis=0)
     table.replace_scene(path, "stays", rows_of("stays", stays, encoder, 1), encoder)
-    wrong: list[str] = []
+    wrong = []
     done = threading.Event()
 
-    def ask() -> None:
+    def ask():
         catalogue = Catalogue.open(path)
         while not done.is_set():
             entries = catalogue.ask(Query(vector=own, threshold=0.5), top=200)
@@ -401,7 +400,7 @@ def test_files_are_put_together_in_time(tmp_path, monkeypatch):
             path, f"s{number}", rows_of(f"s{number}", vectors[number : number + 1], encoder, 1), encoder
         )
 
-    def fragments() -> int:
+    def fragments():
         known = current(path)
         return int(known.table.stats()["fragment_stats"]["num_fragments"])
 
@@ -424,7 +423,7 @@ def test_nobody_waits_while_files_are_put_together(tmp_path, monkeypatch):
     known = current(path)
     optimize = type(known.table).optimize
 
-    def meanwhile(self: object, **how: object) -> None:
+    def meanwhile(self, **how):
         Catalogue.open(path).remove("s3")
         with refused("is being written by"), claimed_output(path.with_name("c.tidy")):
             pass
@@ -443,7 +442,7 @@ def test_nobody_waits_while_the_index_is_built(tmp_path, monkeypatch):
     catalogue = Catalogue.open(path)
     index_names = table._index_names
 
-    def meanwhile(path: Path) -> None:
+    def meanwhile(path):
         catalogue.remove("goes")
         table.replace_scene(path, "comes", rows_of("comes", vectors[550:], encoder, 1), encoder)
         index_names(path)
@@ -499,7 +498,7 @@ def test_no_more_scenes_are_asked_than_answers_are_missing(filled, monkeypatch):
     """Every other scene agrees: 10 are asked for 10 answers, then 5 for those that are missing, then at least 4."""
     asked = []
 
-    def read(_: object, names: Sequence[str], __: object) -> dict[str, SketchedScene]:
+    def read(_, names, __):
         asked.append(sorted(map(int, names)))
         return {name: EveryOther(name) for name in names}
 
@@ -677,9 +676,8 @@ def test_thumbnails_that_are_none(filled):
 def test_the_command_line(scenes, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
-    def said(*argv: str) -> dict[str, Any]:
-        document: dict[str, Any] = answer_of(capsys, "catalogue", *argv)
-        return document
+    def said(*argv):
+        return answer_of(capsys, "catalogue", *argv)
 
     added = said("add", "flats", *(str(scenes / name) for name in WORDS))
     assert [one["num_objects"] for one in added["scenes"]] == [3, 3]
@@ -858,7 +856,7 @@ def test_what_is_asked_while_others_write_is_no_damage(tmp_path):
     catalogue, path = two_rooms(tmp_path), tmp_path / "c"
     rng, encoder = default_rng(9), EncoderIdentity("test", 16)
 
-    def write() -> None:
+    def write():
         for number in range(12):
             with claimed_output(path, 60.0):
                 table.replace_scene(

@@ -33,7 +33,7 @@ SURFACES = [(x, y - 0.3, z) for x, y, z in THINGS.values()]  # the balls are hol
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def city(tmp_path_factory) -> Path:
     return write_city(tmp_path_factory.mktemp("city"))
 
 
@@ -42,7 +42,7 @@ def opened(folder: Path) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def both(city: Path) -> tuple[Scene, Scene]:
+def both(city) -> tuple[Scene, Scene]:
     """The scene in tiles, and the one in memory."""
     return opened(city / "tiled"), opened(city / "whole")
 

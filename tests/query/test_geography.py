@@ -66,7 +66,7 @@ def test_without_a_georeference_nothing_is_said():
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def city(tmp_path_factory) -> Path:
     made = write_city(tmp_path_factory.mktemp("city"))
     for name in ("tiled", "whole"):
         write_georeference(made / name, TURNED)

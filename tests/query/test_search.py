@@ -15,7 +15,6 @@ from drsplat.query import Answer, Query, Scene
 from drsplat.query.search import NEGATIVES, UNSELECTED_COSINE, embed_query, split_negation, text_negatives, without
 from drsplat.scene.encoders import EncoderIdentity
 from fields import ToyEncoder, toy_field
-from furnished.story import Story
 from refusing import refused
 
 
@@ -128,7 +127,7 @@ def feature_at(field: LanguageField, gaussians: Gaussians, view: View, xy: tuple
 
 
 @pytest.fixture(scope="module")
-def clicked(story: Story) -> tuple[LanguageField, Gaussians, View]:
+def clicked(story) -> tuple[LanguageField, Gaussians, View]:
     return story.field, story.gaussians, story.views[4]
 
 

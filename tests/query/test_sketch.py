@@ -23,7 +23,7 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def sketch(scene: Scene) -> Sketch:
+def sketch(scene) -> Sketch:
     return sketch_of(scene)
 
 

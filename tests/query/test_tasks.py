@@ -112,7 +112,7 @@ def test_locate_moves_with_the_scene():
     points = (turn.apply(scene.means) + shift).astype(np.float32)
     moved = Gaussians(points, scene.quats, scene.scales, scene.opacities, scene.sh)
 
-    def of(gaussians: Gaussians) -> Answer:
+    def of(gaussians):
         field = field_of(gaussians, labels)
         return Answer.of(field, field.scores(unit(0)), 0.5)
 

@@ -1,7 +1,6 @@
 """Objects in the viewer, without a browser: clicked, made smaller and larger, coloured and named."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ FIRST, SECOND, THIRD, PAIR = 2, 3, 4, 5  # nodes; 0 and 1 are parts of the first
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Session:
+def session(tmp_path) -> Session:
     field, gaussians = with_objects()
     return Session(Scene(field, gaussians, labels=LabelFile.beside(tmp_path / "a.field")))
 

@@ -91,7 +91,7 @@ def test_a_tail_goes_where_it_is_sparse_and_light():
     """To 101 points a hundredth apart, one more is a tail of 1 % of the mass, worth 8 % of the length."""
     row = np.linspace(0, 1, 101)
 
-    def core_with(tail: list[float], weight: float = 1.0) -> tuple[float, float]:
+    def core_with(tail, weight=1.0):
         mass = np.append(np.ones(101), np.full(len(tail), weight))
         return core(np.append(row, tail), mass / mass.sum())
 

@@ -106,7 +106,7 @@ def test_merging_keeps_a_picture_better_than_leaving_out():
     view = look_at_view([0.0, 0.0, -8.0], width=80, height=60)
     heavy = np.sort(np.argsort(-masses_of(scene))[:150])
 
-    def error(fewer: Gaussians) -> float:
+    def error(fewer):
         return float(((render(fewer, view).rgb - render(scene, view).rgb) ** 2).mean())
 
     assert error(coarser(scene, 150).gaussians) < error(scene.subset(heavy))

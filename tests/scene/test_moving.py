@@ -60,7 +60,7 @@ def test_a_frame_has_the_rows_and_the_fingerprint_of_the_canonical_scene():
 def test_two_frames_are_held_and_no_more():
     gaussians, read = random_gaussians(5), []
 
-    def frame(number: int) -> Gaussians:
+    def frame(number):
         read.append(number)
         return gaussians
 

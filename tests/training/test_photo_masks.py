@@ -165,7 +165,7 @@ def test_photos_that_are_left_out_as_a_whole_are_named(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def crowded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[ds.View], ds.Gaussians]:
+def crowded(tmp_path_factory) -> tuple[Path, list[ds.View], ds.Gaussians]:
     """A capture whose photos to train on show a person, with masks; the views held out are clean."""
     folder = tmp_path_factory.mktemp("crowded")
     scene, views = capture_of(folder, 16)
@@ -310,7 +310,7 @@ def test_training_names_a_damaged_mask(crowded, tmp_path, capsys):
 
 
 @pytest.fixture
-def toy(tmp_path: Path) -> tuple[Path, ds.Gaussians, list[ds.View], object]:
+def toy(tmp_path) -> tuple[Path, ds.Gaussians, list[ds.View], object]:
     folder = write_toy_capture(tmp_path)
     scene = ds.read_gaussians(folder / "scene.ply")
     features = read_features(folder / "capture/language_features")

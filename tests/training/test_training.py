@@ -144,7 +144,7 @@ def test_an_antialiased_run_writes_a_scene_that_looks_as_it_was_measured(views, 
     assert training.gaussians.antialiased
     assert scene.antialiased
 
-    def psnr(gaussians: ds.Gaussians) -> float:
+    def psnr(gaussians):
         drawn = np.clip(ds.render(gaussians, views[8]).rgb, 0, 1)
         photo = np.asarray(Image.open(views[8].image_path), np.float32) / 255
         return float(-10 * np.log10(np.mean((drawn - photo) ** 2)))
@@ -240,7 +240,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, tmp_path):
     assert texts["iteration"] == "70"
     leftover = tmp_path / "killed/.0123456789abcdef.tmp"
     leftover.write_bytes(b"half")
-    seen: list[int] = []
+    seen = []
     train(views[::2], settings, tmp_path / "killed", report=lambda status: seen.append(status.iteration))
     assert seen == list(range(71, 121))
     assert ply_of(tmp_path / "killed") == ply_of(tmp_path / "whole")
@@ -379,8 +379,7 @@ def test_other_failures_to_write_stay_what_they_are(tmp_path):
 
 
 def run_verb(capsys, *arguments: str) -> dict[str, object]:
-    answer: dict[str, object] = answer_of(capsys, "train", *arguments, "--device", "cpu")
-    return answer
+    return answer_of(capsys, "train", *arguments, "--device", "cpu")
 
 
 def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
@@ -496,7 +495,7 @@ def scenes_of(folder: Path) -> dict[str, bytes]:
 def test_a_run_killed_before_its_first_checkpoint_goes_on(views, tmp_path, monkeypatch):
     """Also after --save-at has written a scene."""
 
-    def killed(status: ds.training.Status) -> None:
+    def killed(status):
         if status.iteration == 12:
             raise RuntimeError("killed")
 
@@ -588,9 +587,9 @@ def test_ctrl_c_writes_a_checkpoint_and_says_how_to_go_on(capture, tmp_path):
 
 def test_two_runs_do_not_share_a_folder(views, tmp_path):
     few = replace(BUSY, iterations=3)
-    said: list[str] = []
+    said = []
 
-    def second(status: ds.training.Status) -> None:
+    def second(status):
         with pytest.raises(InputError) as error:
             train(views[::4], few, tmp_path, overwrite=True)
         said.append(str(error.value))
@@ -623,7 +622,7 @@ def test_points_move_with_their_views(capture, tmp_path):
     plain, moved = (read_sparse_points(capture), read_sparse_points(capture, dataparser_transforms=file))
     view, there = ds.read_views(capture)[0], ds.read_views(capture, dataparser_transforms=file)[0]
 
-    def pixels(view: ds.View, positions: np.ndarray) -> np.ndarray:
+    def pixels(view, positions):
         seen = positions @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
         return (seen / seen[:, 2:]) @ view.K.T
 
