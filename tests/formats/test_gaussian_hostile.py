@@ -5,7 +5,6 @@ import gzip
 import struct
 import tracemalloc
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -22,17 +21,10 @@ from drsplat.formats.known import parse_gaussians, write_scene
 from drsplat.formats.scenes import read_gaussians
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing
-from mutations import bounded_allocations, mutants, quota, seeded
+from mutations import mutants, quota, seeded
 from scene_files import random_gaussians
 
 MUTANTS = quota(5_200)  # of each family
-ALLOWANCE = 48 << 20  # bytes of address space that reading a file of some kilobytes may take
-
-
-@pytest.fixture
-def bounded_memory() -> Iterator[None]:
-    with bounded_allocations(ALLOWANCE):
-        yield
 
 
 def seeds(family: str) -> list[tuple[bytes, str]]:
