@@ -25,6 +25,7 @@ from drsplat.formats.tensors import map_tensors, read_tensors, write_tensors
 from drsplat.formats.vocabulary import read_vocabulary
 from fields import SCENE, TOY, as_version_2, random_evidence, toy_field, unit_rows
 from mutations import quota
+from refusing import malformed
 
 FLIPS = quota(400)
 
@@ -90,9 +91,9 @@ def test_damage_is_found_at_first_use_and_by_verify(tmp_path):
     field = load_field(path)
     assert len(field.top(unit_rows(default_rng(0), 1, 32)[0], 3).rows) == 3
     for use in (field.verify, lambda: field.evidence, lambda: field.explain(0, np.ones(32, "f4"))):
-        with pytest.raises(FormatError, match=r"evidence.*'data' is not what was written.*register"):
+        with malformed(r"evidence.*'data' is not what was written.*register"):
             use()
-    with pytest.raises(FormatError, match="not what was written"):
+    with malformed("not what was written"):
         field.save(tmp_path / "b.field")  # would give the damage new checksums
     assert not (tmp_path / "b.field").exists()
 
@@ -136,7 +137,7 @@ def test_any_name_is_printed_on_any_terminal(name, encoding, tmp_path):
 )
 def test_vocabularies_whose_names_are_no_names_are_refused(text, reason, tmp_path):
     (tmp_path / "a.json").write_text(text)
-    with pytest.raises(FormatError, match=reason):
+    with malformed(reason):
         read_vocabulary(tmp_path / "a.json")
 
 
@@ -146,7 +147,7 @@ def test_vocabularies_of_other_numbers_are_refused(dtype, tmp_path):
     header = json.dumps({"__metadata__": {"texts": '["vase"]'}, "embeddings": entry}).encode()
     content = len(header).to_bytes(8, "little") + header + bytes(16)
     (tmp_path / "a.safetensors").write_bytes(content)
-    with pytest.raises(FormatError, match=f"dtype '{dtype}' is none of"):
+    with malformed(f"dtype '{dtype}' is none of"):
         read_vocabulary(tmp_path / "a.safetensors")
 
 
@@ -164,11 +165,11 @@ def test_a_field_of_this_version_without_checksums_is_refused(tmp_path):
     manifest = json.loads((path / "field.json").read_text())
     as_version_2(path)
     (path / "field.json").write_text(json.dumps(manifest))
-    with pytest.raises(FormatError, match="checksum of every tensor"):
+    with malformed("checksum of every tensor"):
         load_field(path).verify()
     manifest.pop("crc32")
     (path / "field.json").write_text(json.dumps(manifest))
-    with pytest.raises(FormatError, match="damaged or edited"):
+    with malformed("damaged or edited"):
         load_field(path)
 
 
@@ -179,7 +180,7 @@ def test_weights_that_are_no_weights_are_refused(value, tmp_path):
     arrays = {name: np.array(array) for name, array in tensors.items()}
     arrays["data"][7] = value
     write_tensors(path, arrays, metadata, overwrite=True)  # with the right checksums
-    with pytest.raises(FormatError, match="finite numbers of 0 or more"):
+    with malformed("finite numbers of 0 or more"):
         load_field(path.parent).verify()
 
 
@@ -189,7 +190,7 @@ def test_negatives_that_are_no_numbers_are_refused(tmp_path):
     arrays = {name: np.array(array) for name, array in tensors.items()}
     arrays["maxima"][0] = np.nan
     write_tensors(path, arrays, metadata, overwrite=True)
-    with pytest.raises(FormatError, match="finite"):
+    with malformed("finite"):
         load_field(path.parent)
 
 
