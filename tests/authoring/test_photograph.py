@@ -353,22 +353,17 @@ def test_scenes_that_cannot_be_photographed_are_refused(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", ["fingerprint", '"time"', "num_pictures"])
-def test_a_record_that_was_changed_is_not_believed(part, tmp_path):
+def test_a_record_that_was_changed_is_not_believed(tmp_path):
     photograph(thing(), tmp_path / "capture", SMALL)
     path = tmp_path / "capture" / RECORD
-    path.write_text(path.read_text().replace(part, part.replace("e", "a", 1).replace("n", "m", 1)))
-    with pytest.raises(FormatError):
-        read_views(tmp_path / "capture")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "drsplat photograph", "version": 2}', "\x00"])
-def test_what_is_no_record_is_refused(text, tmp_path):
-    photograph(thing(), tmp_path / "capture", SMALL)
-    (tmp_path / "capture" / RECORD).write_text(text)
-    with pytest.raises(FormatError):
-        read_views(tmp_path / "capture")
+    good = path.read_text()
+    parts = ("fingerprint", '"time"', "num_pictures")
+    changed = [good.replace(part, part.replace("e", "a", 1).replace("n", "m", 1)) for part in parts]
+    for text in (*changed, "", "[]", "{}", '{"format": "drsplat photograph", "version": 2}', "\x00"):
+        assert text != good
+        path.write_text(text)
+        with pytest.raises(FormatError):
+            read_views(tmp_path / "capture")
 
 
 # --- paths and times ---

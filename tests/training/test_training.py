@@ -3,6 +3,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -263,8 +264,20 @@ def unfinished(folder: Path, views: list[ds.View]) -> Path:
     return folder / "checkpoint.safetensors"
 
 
-def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views)
+@pytest.fixture(scope="module")
+def stopped(views, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("stopped")
+    unfinished(folder, views)
+    return folder
+
+
+@pytest.fixture
+def checkpoint(stopped, tmp_path) -> Path:
+    """That of a copy of the stopped run, in tmp_path / "model"."""
+    return Path(shutil.copytree(stopped, tmp_path / "model")) / "checkpoint.safetensors"
+
+
+def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, checkpoint, tmp_path):
     before = checkpoint.read_bytes()
     with pytest.raises(MismatchError, match=r"other settings \(seed\):.*overwrite=True"):
         train(views, replace(BUSY, seed=1), tmp_path / "model")
@@ -304,8 +317,7 @@ def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> N
 @pytest.mark.parametrize(
     "how", ["rows", "axis", "view", "beyond", "missing", "type", "version", "rng", "iteration", "cut"]
 )
-def test_a_damaged_checkpoint_is_refused(how, views, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views)
+def test_a_damaged_checkpoint_is_refused(how, views, checkpoint, tmp_path):
     if how == "cut":
         checkpoint.write_bytes(checkpoint.read_bytes()[:-8])
     else:
@@ -318,8 +330,7 @@ def test_a_damaged_checkpoint_is_refused(how, views, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views)
+def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, checkpoint, tmp_path):
     good = checkpoint.read_bytes()
     for at in np.random.default_rng(0).integers(8, len(good), 24):
         bad = bytearray(good)
