@@ -104,6 +104,15 @@ def room(edited_room: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(edited_room, tmp_path / "room"))
 
 
+@pytest.fixture
+def bounded_memory() -> Iterator[None]:
+    """Reading a file of some kilobytes may take 48 MiB of address space."""
+    from mutations import bounded_allocations
+
+    with bounded_allocations(48 << 20):
+        yield
+
+
 @pytest.fixture(scope="session")
 def cuda_engine_on_cpu() -> Any:
     """The CUDA kernels, compiled once for the CPU; skips where there is no C++ compiler."""

@@ -255,7 +255,7 @@ def test_edits_make_no_more_rows_than_they_may(scene, monkeypatch):
     ],
 )
 def test_rows_of_the_other_scene_are_those_that_it_has(scene, spans, said):
-    def replaced() -> Gaussians:
+    def replaced():
         change = Replace("other.ply", scene.fingerprint, np.eye(4), np.array(spans, np.int64).reshape(-1, 2))
         return edited(scene, [Edit(Rows.of(np.arange(3)), change)], read=lambda _: scene)
 
@@ -357,7 +357,7 @@ def test_a_hole_that_is_larger_than_what_is_left_is_told(monkeypatch):
 
 # --- the file ---
 
-EVERY: tuple[Change, ...] = (
+EVERY = (
     Remove(), Isolate(), Opacity(0.5), Move((1.0, 2.0, 3.0)), Turn(30.0, (0.0, 0.0, 1.0)), Scale(2.0, (1.0, 0.0, 0.0)),
     Duplicate((0.0, 0.0, 1.0)), Recolour((0.1, 0.2, 0.3), 0.5), Palette(((0.1, 0.2, 0.3), (1.0, 1.0, 1.0))),
     MatchPhoto(np.array([0.1, 0.2, 0.3]), 0.01 * np.eye(3)),

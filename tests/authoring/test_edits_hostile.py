@@ -8,14 +8,12 @@ from test_edits import every_edit
 
 from drsplat.authoring.editing import EditFile, EditList, Replace
 from drsplat.authoring.editing.edits import drafted
-from drsplat.errors import DrSplatError
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.scene.labelled import Annotation
-from mutations import bounded_allocations, mutants, quota, seeded
+from mutations import quota, seeded, survivors
 from scenes import random_gaussians
 
 MUTANTS = quota(2000)
-ALLOWANCE = 48 << 20
 SCENE = random_gaussians(60)
 
 
@@ -41,17 +39,8 @@ def write_annotations(path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("write", "read"), [(write_edits, read_edits), (write_annotations, read_annotations)])
-def test_damaged_files(write, read, tmp_path):
+def test_damaged_files(write, read, tmp_path, bounded_memory):
     path = tmp_path / "given.json"
     write(path)
-    good, refused = path.read_bytes(), 0
-    with bounded_allocations(ALLOWANCE):
-        for damaged in mutants(good, seeded(len(good)), MUTANTS):
-            path.write_bytes(damaged)
-            try:
-                read(path)
-            except DrSplatError:
-                refused += 1
-    assert refused > MUTANTS / 3
-    path.write_bytes(good)
     assert read(path)
+    assert survivors(path, read, seeded(path.stat().st_size), MUTANTS) < MUTANTS * 2 / 3

@@ -26,6 +26,7 @@ from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.scene.labelled import Annotation, LabelledScene, Thing
 from drsplat.scene.moving import Frames, Moving
 from glb_files import Read
+from scenes import random_gaussians
 from toy_capture import PER_THING
 
 HALF = np.float32([0, 0, 0.5])
@@ -266,7 +267,7 @@ def test_in_python(room):
 
 
 def test_groups_that_a_part_is_in_stay_with_it():
-    def thing(name: str, parent: int, number: int = -1) -> Thing:
+    def thing(name, parent, number=-1):
         return Thing(name, 1.0, np.zeros(3), np.eye(3), np.ones(3), parent, None, number)
 
     things = (thing("a", 2, 0), thing("b", 0, 1), thing("c", -1, 2))
@@ -275,7 +276,7 @@ def test_groups_that_a_part_is_in_stay_with_it():
         np.zeros((2, 3), np.float32), np.float32([[1, 0, 0, 0]] * 2), np.ones((2, 3), np.float32),
         np.ones(2, np.float32), np.zeros((2, 1, 3), np.float32),
     )  # fmt: skip
-    part = only_used(LabelledScene(gaussians, "s", things, groups, np.array([0, -1], np.int32)))
+    part = only_used(LabelledScene(gaussians, "s", things, groups, np.int32([0, -1])))
     assert [(one.name, one.parent, one.number) for one in part.things] == [("a", 1, 0)]
     assert [(one.name, one.parent) for one in part.groups] == [("g1", -1), ("g2", 0)]
     assert part.object_of.tolist() == [0, -1]
@@ -432,3 +433,10 @@ def test_a_plain_ply_has_the_rows_that_the_numbers_beside_it_are_of(room, capsys
     assert not (room / "plain.objects.json").exists()
     assert_array_equal(plain.means, named.means)
     assert_array_equal(np.load(room / "ids.npy"), named.extra["object_id"])
+
+
+def test_objects_that_there_are_not_are_refused():
+    for wrong, said in (({"object_of": np.zeros(2, np.int32)}, "from -1 to -1"),
+                        ({"relevancy": np.zeros(3, np.float32)}, "expected 2 numbers")):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            LabelledScene(random_gaussians(2), **wrong)

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,7 +44,7 @@ def kept(scene: Gaussians, block: np.ndarray, file: EditFile) -> EditList:
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> EditFile:
+def file(tmp_path) -> EditFile:
     return EditFile(tmp_path / "scene.edits.json")
 
 

@@ -100,7 +100,7 @@ def suffixes_here() -> list[str]:
 
 @pytest.mark.parametrize("suffix", suffixes_here())
 def test_an_error_on_the_way_leaves_nothing_and_what_was_there(suffix, tmp_path):
-    def broken() -> Iterator[np.ndarray]:
+    def broken():
         yield from pictures(3)
         raise RuntimeError("no more light")
 

@@ -165,7 +165,7 @@ def test_names_behind_other_names_are_not_drawn(monkeypatch):
     rng = np.random.default_rng(5)
     marks = [Mark(f"name {number}", rng.uniform(-0.4, 0.4, 3)) for number in range(600)]
     blank, view = np.zeros((72, 96, 3), np.uint8), front()
-    drawn: list[str] = []
+    drawn = []
     draw = labels._draw_name
     monkeypatch.setattr(
         labels, "_draw_name", lambda pen, mark, *rest: (drawn.append(mark.text), draw(pen, mark, *rest))
@@ -295,7 +295,7 @@ def test_attributes_of_one_thing_are_a_row_of_heat_maps():
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def room(tmp_path_factory) -> Path:
     folder = write_toy_capture(tmp_path_factory.mktemp("films"))
     argv = ["register", "scene.ply", "capture", "--features", "capture/language_features"]
     argv += ["--encoder-name", "drsplat-words", "-o", "room.field"]

@@ -145,7 +145,7 @@ def test_seams_are_not_compared_where_no_shift_closes_anything(monkeypatch):
     cells = np.zeros((20, 20), bool)
     missing = cells.copy()
     missing[8:12, 8:12] = True
-    seams: list[object] = []
+    seams = []
     monkeypatch.setattr(Surface, "seam", lambda *arguments: seams.append(arguments) or 0.0)
     _, closed = best_shift(missing, cells, Surface(np.zeros((20, 20, 3)), ~missing))
     assert not closed.any()

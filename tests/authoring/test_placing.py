@@ -52,8 +52,7 @@ def weights(gaussians: Gaussians, views: list[View]) -> np.ndarray:
     features = capture()[1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DrSplatWarning)
-        dense: np.ndarray = ds.register(gaussians, views, features, Sampling(10)).weights.toarray()
-    return dense
+        return ds.register(gaussians, views, features, Sampling(10)).weights.toarray()
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def gaussians() -> Gaussians:
 
 
 @pytest.fixture(scope="module")
-def views(gaussians: Gaussians) -> list[View]:
+def views(gaussians) -> list[View]:
     return capture()[0]
 
 

@@ -136,8 +136,7 @@ def test_annotations_are_kept(room, session):
 
 def header_of(page: Path) -> dict[str, Any]:
     found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
-    header: dict[str, Any] = json.loads(found[1])
-    return header
+    return json.loads(found[1])
 
 
 def test_a_page_has_objects_annotations_and_the_scene_as_edited(room):

@@ -22,7 +22,7 @@ DESK, HAND = (1280, 800), (390, 844)
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def exported(tmp_path_factory) -> Path:
     """Two queries, and a film past two places in 2 seconds."""
     folder = tmp_path_factory.mktemp("page")
     eyes = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (3.5, 0.0, 1.0))
@@ -35,8 +35,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def header_of(page: Path) -> dict[str, Any]:
     found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"))
-    header: dict[str, Any] = json.loads(found[1])
-    return header
+    return json.loads(found[1])
 
 
 def test_a_page_has_the_path_in_its_own_frame(exported):
@@ -70,7 +69,7 @@ def device(chromium: Any, file: Path, size: tuple[int, int], scheme: str = "dark
     """Open the page as a device shows it that is set to a look; what its scripts throw fails the test."""
     viewport = {"width": size[0], "height": size[1]}
     context = chromium.new_context(viewport=viewport, color_scheme=scheme, has_touch=hand, is_mobile=hand)
-    errors: list[str] = []
+    errors = []
     page = context.new_page()
     page.set_default_timeout(SLOW)
     page.on("pageerror", lambda error: errors.append(str(error)))

@@ -90,7 +90,7 @@ def test_features_of_another_kind_are_refused(tmp_path):
 
 
 def test_choosers_let_absent_gaussians_have_no_say():
-    scores = np.array([np.nan, 0.1, 0.12, 0.11, 0.9, 0.95, np.nan], np.float32)
+    scores = np.float32([np.nan, 0.1, 0.12, 0.11, 0.9, 0.95, np.nan])
     for choose, how in automatic_choosers(cosine_scorer(toy_field(), ToyEncoder())).values():
         assert how.startswith("per query")
         assert choose(np.full(4, np.nan, np.float32)) == np.inf
@@ -180,7 +180,7 @@ def test_bars_are_as_long_as_their_values():
 
 
 @pytest.fixture
-def judged(data: Path, tmp_path: Path) -> dict[str, str]:  # noqa: F811
+def judged(data, tmp_path) -> dict[str, str]:  # noqa: F811
     """A scene, perfect features of it, and the texts' vectors."""
     encoder = ds.WordEncoder()
     vectors = encoder.encode_texts(list(THINGS))

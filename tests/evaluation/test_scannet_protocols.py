@@ -27,7 +27,7 @@ from twins import evaluation as reference
 
 few = settings(derandomize=True, max_examples=25)
 LABELS = LabelSet("mine", (1, 2, 7), ("wall", "floor", "table"), ("wall", "floor", "table"))
-NYU40 = np.array([40, 1, 2, 7], np.uint16)  # class 0 to 3
+NYU40 = np.uint16([40, 1, 2, 7])  # class 0 to 3
 COUNT = 400
 
 
@@ -50,7 +50,7 @@ def write_scene(folder: Path, seed: int = 0, size: float = 0.3) -> tuple[Path, G
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> ScannetScene:
+def scene(tmp_path) -> ScannetScene:
     return read_nyu40_scene(*rearranged(write_scene(tmp_path / "data")))
 
 
@@ -189,7 +189,7 @@ def test_means_over_scenes_and_over_queries(tmp_path):
 
 
 def test_choosers_have_a_threshold_per_query(scene, tmp_path):
-    def never(scores: np.ndarray) -> float:
+    def never(scores):
         return float(np.nanmax(scores))
 
     scannet_volume.predict(scene, knowing(scene), tmp_path, choosers={"never": (never, "no one")})
@@ -203,7 +203,7 @@ def test_the_automatic_column_is_what_is_answered(scene, tmp_path):
     truth = scene.pseudo_labels
     number = {name: k for k, name in enumerate(LABELS.prompts, start=1)}
 
-    def scores(text: str) -> np.ndarray:
+    def scores(text):
         return np.where(truth == number[text], 0, 1).astype(np.float32)
 
     scorer = Scorer("answers", len(truth), scores, 0.5, (), answer=lambda text: (1 - scores(text), 0.25))
@@ -296,7 +296,7 @@ def test_points_protocol_refuses_free_gaussians(tmp_path):
 @given(st.integers(0, 1000))
 def test_sweep_is_the_iou_of_each_threshold(seed):
     rng = default_rng(seed)
-    scores = rng.choice(np.array([0.1, 0.2, 0.3, 0.4, np.nan], np.float32), 60)
+    scores = rng.choice(np.float32([0.1, 0.2, 0.3, 0.4, np.nan]), 60)
     truth, weights = rng.random(60) < 0.4, rng.random(60)
     thresholds = rng.permutation([0.05, 0.1, 0.25, 0.3, 0.3, 0.9]).tolist()
     expected = [weighted_iou(scores > np.float32(t), truth, weights) for t in thresholds]
@@ -346,7 +346,7 @@ def test_a_voxel_has_the_label_of_the_denser_gaussian():
     )  # fmt: skip
     gaussians = Gaussians(*(np.array(c, np.float32) for c in columns))
     grid = voxel.VoxelGrid(np.array([-0.05, -0.05, -0.05]), 0.1, (5, 1, 1))
-    (labels,) = voxel.voxel_labels(gaussians, [np.array([1, 2], np.int32)], 3, grid)
+    (labels,) = voxel.voxel_labels(gaussians, [np.int32([1, 2])], 3, grid)
     # equal where x^2 / 0.08 = (0.3 - x)^2 / 0.08 + ln 2, at x = 0.24: centres are 0, 0.1, ... 0.4
     assert_array_equal(labels, [1, 1, 1, 2, 2])
 

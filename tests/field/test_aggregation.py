@@ -51,7 +51,7 @@ def one_row(weights: list[float], embeddings: list[list[float]]) -> Evidence:
     count = len(weights)
     rows = np.array(embeddings, float)
     rows /= np.linalg.norm(rows, axis=1, keepdims=True)
-    matrix = csr_array(np.array([weights], np.float32))
+    matrix = csr_array(np.float32([weights]))
     views = np.arange(count, dtype=np.int32)
     names = tuple(f"{i:02d}.jpg" for i in range(count))
     masks = MaskIds(names, views, np.zeros(count, np.int32))
@@ -212,9 +212,9 @@ def test_the_entries_of_some_columns(seed):
 
 
 def test_reliability_by_hand():
-    matrix = np.array([[2, 2, 0], [3, 0, 0], [1, 0, 1], [0, 0, 0], [1, 1, 2]], np.float32)
-    masks = MaskIds(("a", "b"), np.array([0, 0, 1], np.int32), np.array([0, 1, 0], np.int32))
-    embeddings = np.array([[1, 0], [0, 1], [1, 0]], np.float32)
+    matrix = np.float32([[2, 2, 0], [3, 0, 0], [1, 0, 1], [0, 0, 0], [1, 1, 2]])
+    masks = MaskIds(("a", "b"), np.int32([0, 0, 1]), np.int32([0, 1, 0]))
+    embeddings = np.float32([[1, 0], [0, 1], [1, 0]])
     evidence = Evidence(csr_array(matrix), masks, embeddings)
     assert_allclose(effective_views(evidence), [1, 1, 2, 0, 2])  # the views see 2 and 2 of the last
     lengths = [0.5**0.5, 1, 1, 0, (9 + 1) ** 0.5 / 4]

@@ -84,7 +84,7 @@ def two_groups(*, flipped: int) -> tuple[Evidence, Gaussians]:
     says[:flipped] = 1
     weights = np.zeros((80, 4), np.float32)
     weights[np.arange(80), says] = weights[np.arange(80), says + 2] = 1
-    masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
+    masks = MaskIds(("a", "b"), np.int32([0, 0, 1, 1]), np.array([0, 1, 0, 1], "i4"))
     embeddings = np.eye(8, dtype=np.float32)[[0, 1, 0, 1]]
     alike = np.ones((80, 3), np.float32)
     return Evidence(csr_array(weights), masks, embeddings), replace(gaussians, means=means, scales=alike)

@@ -1,10 +1,8 @@
 """Fields whose scene was compressed: the same features at Gaussians that have moved a little, in another order."""
 
-import json
 import shutil
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +12,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
+from command_line import answer_of, error_of
 from drsplat.cli import main
 from drsplat.errors import MismatchError
 from drsplat.field import Assignment, LanguageField, assign, carry_field, carry_label
@@ -46,7 +45,7 @@ def compressed(gaussians: ds.Gaussians) -> tuple[ds.Gaussians, np.ndarray]:
 
 def spz_of(gaussians: ds.Gaussians) -> bytes:
     """In the axes of SPZ: y up, z back. Rotations stay; nothing looks at them."""
-    return spz_bytes(replace(gaussians, means=gaussians.means * np.array([1, -1, -1], np.float32)), 3)
+    return spz_bytes(replace(gaussians, means=gaussians.means * np.float32([1, -1, -1])), 3)
 
 
 def test_a_compressed_scene_has_each_gaussian_once(known):
@@ -149,29 +148,15 @@ def test_names_go_along():
     assert carried.spans.tolist() == [[0, 2]]
 
 
-def test_two_objects_of_one_name_keep_it_and_carrying_again_adds_none(known, tmp_path, capsys):
-    field, scene = known
-    ds.write_gaussians(tmp_path / "scene.ply", scene)
-    ds.write_gaussians(tmp_path / "new.ply", shuffled(scene)[0])
-    field.save(tmp_path / "old.field")
-    labels = [Label.of("mug", field.scene, np.arange(begin, begin + 500), np.zeros(3)) for begin in (0, 500)]
-    LabelFile.beside(tmp_path / "old.field").carry(labels)
-    old, new, scene_file, there = (str(tmp_path / name) for name in ("old.field", "new.ply", "scene.ply", "new.field"))
-    carry = ["field", "carry", old, new, "--scene", scene_file, "-o", there, "--json"]
-    for more in ([], ["--overwrite"]):
-        assert main([*carry, *more]) == 0
-        assert json.loads(capsys.readouterr().out)["labels"] == ["mug", "mug"]
-        assert [len(label) for label in LabelFile.beside(there).read()] == [500, 500]
-
-
 def test_names_that_cannot_be_read_leave_no_field_behind(known, tmp_path, capsys):
     field, scene = known
     ds.write_gaussians(tmp_path / "scene.ply", scene)
     field.save(tmp_path / "old.field")
     (tmp_path / "old.labels.json").write_text("{")
     old, scene_file = str(tmp_path / "old.field"), str(tmp_path / "scene.ply")
-    assert main(["field", "carry", old, scene_file, "--scene", scene_file, "-o", str(tmp_path / "new.field")]) == 1
-    assert "old.labels.json" in capsys.readouterr().err
+    assert "old.labels.json" in error_of(
+        capsys, "field", "carry", old, scene_file, "--scene", scene_file, "-o", tmp_path / "new.field"
+    )
     assert not (tmp_path / "new.field").exists()
 
 
@@ -183,10 +168,10 @@ def test_the_command_does_what_the_refusal_says(known, tmp_path, capsys):
     field.save(tmp_path / "old.field")
     LabelFile.beside(tmp_path / "old.field").add(Label.of("mug", field.scene, np.arange(500), np.zeros(3)))
     old, new, there = (str(tmp_path / name) for name in ("old.field", "scene.spz", "new.field"))
-    assert main(["objects", old, "--scene", new, "--save", str(tmp_path / "ids.npy")]) == 1
-    assert "drsplat field carry FIELD NEW_SCENE --scene OLD_SCENE --output NEW_FIELD" in capsys.readouterr().err
-    assert main(["field", "carry", old, new, "--scene", str(tmp_path / "scene.ply"), "-o", there, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    assert "drsplat field carry FIELD NEW_SCENE --scene OLD_SCENE --output NEW_FIELD" in error_of(
+        capsys, "objects", old, "--scene", new, "--save", tmp_path / "ids.npy"
+    )
+    answer = answer_of(capsys, "field", "carry", old, new, "--scene", tmp_path / "scene.ply", "-o", there)
     assert (answer["num_registered"], answer["num_lost"], answer["labels"]) == (len(field), 0, ["mug"])
     carried = ds.load_field(there)
     carried.check_scene(small)
@@ -197,7 +182,7 @@ def test_the_command_does_what_the_refusal_says(known, tmp_path, capsys):
 
 
 @pytest.fixture
-def named(known, tmp_path: Path) -> list[str]:
+def named(known, tmp_path) -> list[str]:
     """Write a field with two objects of one name and its scene in another order; return the command."""
     field, scene = known
     ds.write_gaussians(tmp_path / "scene.ply", scene)

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from drsplat.base import contents
 from drsplat.errors import FormatError, MismatchError
-from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
+from drsplat.field import LanguageField, build_field, load_field
 from drsplat.field.codes import Codebook, Mixture, train_codebook
 from drsplat.field.codes.mixture import MixtureCode
 from drsplat.field.evidence.aggregation import Aggregated
@@ -93,14 +93,6 @@ def test_features_are_the_normalised_means_of_their_evidence():
     assert ((field.feature(slice(None)) * expected).sum(axis=1)).min() > 0.99
 
 
-@pytest.mark.parametrize("make", [toy_field, residual_field])
-def test_scores_are_cosines(make):
-    field, query = make(), 7 * unit_rows(default_rng(1), 1, 32)[0]
-    decoded = field.codebook.decode(field.code.codes()).astype(np.float64)
-    expected = decoded @ (query / 7) / np.linalg.norm(decoded, axis=1)
-    assert_allclose(field.scores(query), expected, atol=1e-4)
-
-
 @few
 @given(st.integers(1, 6), st.integers(0, 2**32))
 def test_relevancy_is_the_least_two_way_softmax(count, seed):
@@ -117,13 +109,6 @@ def test_relevancy_is_the_least_two_way_softmax(count, seed):
         toy_field().with_negatives(unit_rows(rng, 2, 32)).relevancy(query, negatives),
     ):
         assert_allclose(relevancy, np.min(softmax, axis=0), atol=1e-6)
-
-
-@few
-@given(st.floats(-1, 1), st.floats(-1, 1))
-def test_relevancy_of_scores(score, negative):
-    value = relevancy_from_scores(np.array([score], "f"), np.array([negative], "f"))[0]
-    assert value == pytest.approx(1 / (1 + np.exp(10 * (negative - score))), abs=1e-6)
 
 
 def test_relevancy_without_negatives_is_refused():
@@ -147,10 +132,10 @@ def test_dense_scores_have_a_fill_where_nothing_is_known():
 
 def test_an_explanation_names_the_photos_and_masks_with_the_largest_support():
     embeddings = np.eye(4, dtype=np.float32)[[0, 0, 1, 0]]
-    masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
-    weights = csr_array(np.array([[1, 3, 5, 0], [0, 0, 0, 2], [0] * 4, [0, 0, 1, 0]], np.float32))
+    masks = MaskIds(("a", "b"), np.int32([0, 0, 1, 1]), np.array([0, 1, 0, 1], "i4"))
+    weights = csr_array(np.float32([[1, 3, 5, 0], [0, 0, 0, 2], [0] * 4, [0, 0, 1, 0]]))
     field = build_field(Evidence(weights, masks, embeddings), SCENE, EncoderIdentity("e", 4))
-    query = np.array([2, 0, 0, 0], np.float32)
+    query = np.float32([2, 0, 0, 0])
     assert field.explain(0, query) == [Explanation("a", 1, 0.75), Explanation("a", 0, 0.25)]
     assert field.explain(0, query, top=1) == [Explanation("a", 1, 0.75)]
     assert field.explain(1, query) == [Explanation("b", 1, 1.0)]
@@ -161,12 +146,12 @@ def test_an_explanation_names_the_photos_and_masks_with_the_largest_support():
 
 
 def test_rows_whose_embeddings_cancel_have_no_feature():
-    embeddings = np.array([[1, 0], [-1, 0], [0, 1]], np.float32)
+    embeddings = np.float32([[1, 0], [-1, 0], [0, 1]])
     masks = MaskIds(("a",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
-    weights = csr_array(np.array([[2, 2, 0], [0, 0, 1], [0, 0, 0], [1, 0, 0]], np.float32))
+    weights = csr_array(np.float32([[2, 2, 0], [0, 0, 1], [0, 0, 0], [1, 0, 0]]))
     field = build_field(Evidence(weights, masks, embeddings), SCENE, EncoderIdentity("e", 2))
     assert_array_equal(field.gaussian_ids, [1, 3])
-    assert_allclose(field.scores(np.array([1, 0], np.float32)), [0, 1], atol=1e-5)
+    assert_allclose(field.scores(np.float32([1, 0])), [0, 1], atol=1e-5)
     assert field.evidence is not None
     assert len(field.evidence) == 2
 
@@ -248,7 +233,7 @@ def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(make, tmp_path, monk
 
 
 def is_mapped(array: np.ndarray) -> bool:
-    base: object = array
+    base = array
     while isinstance(base, np.ndarray) and not isinstance(base, np.memmap):
         base = base.base
     return isinstance(base, np.memmap)
@@ -298,7 +283,7 @@ def test_a_failed_save_leaves_the_old_field(exchange, step, tmp_path, monkeypatc
     path = tmp_path / "a.field"
     toy_field(0).save(path)
 
-    def fail(*_: object) -> None:
+    def fail(*_):
         raise OSError("disk full")
 
     with monkeypatch.context() as patch:
@@ -347,7 +332,7 @@ def test_a_killed_save_leaves_one_whole_field(tmp_path):
 def test_another_scene_is_refused():
     rng = default_rng(8)
 
-    def gaussians(count: int) -> Gaussians:
+    def gaussians(count):
         means, quats = rng.random((count, 3), np.float32), np.zeros((count, 4), np.float32)
         columns = np.ones((count, 3), np.float32), np.ones(count, np.float32)
         return Gaussians(means, quats, *columns, np.zeros((count, 1, 3), np.float32))
@@ -458,7 +443,7 @@ def manifest_of(path: Path) -> dict:
 
 
 @pytest.fixture
-def saved(tmp_path: Path) -> Path:
+def saved(tmp_path) -> Path:
     toy_field(0).with_negatives(unit_rows(default_rng(0), 2, 32)).save(tmp_path / "a")
     return tmp_path / "a"
 
@@ -524,7 +509,7 @@ def rewritten(path: Path, **changes: np.ndarray | None) -> None:
         ("codes", {"coarse_ids": np.zeros(600, np.uint16)}),
         ("codes", {"centroids": np.zeros((32, 256, 1))}),
         ("evidence", {"indptr": np.zeros(0, np.int32)}),
-        ("evidence", {"indptr": np.array([0, 10**6], np.int32)}),
+        ("evidence", {"indptr": np.int32([0, 10**6])}),
         ("evidence", {"indices": np.full(1200, 40, np.int32)}),
         ("evidence", {"indices": np.full(1200, -1, np.int32)}),
         ("evidence", {"indices": None}),

@@ -1,14 +1,13 @@
 """Damaged and hostile fields, codebooks and FAISS indices: sound objects or a precise error."""
 
 import struct
-from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drsplat.errors import DrSplatError, FormatError
+from drsplat.errors import FormatError
 from drsplat.field import build_field, load_field
 from drsplat.field.codes import Codebook, Mixture, load_codebook, read_faiss_codebook, save_codebook
 from drsplat.formats.faiss_index import read_faiss_quantizer
@@ -16,17 +15,10 @@ from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.scene.encoders import EncoderIdentity
 from fields import SCENE, as_version_2, random_evidence, unit_rows, without_checksums
 from known_objects import with_objects
-from mutations import bounded_allocations, mutants, quota, seeded
+from mutations import quota, seeded, survivors
 
 MUTANTS = quota(5_000)  # of each family
-ALLOWANCE = 48 << 20  # bytes of address space that reading a file of some kilobytes may take
 TINY = EncoderIdentity("tiny", 4)
-
-
-@pytest.fixture
-def bounded_memory() -> Iterator[None]:
-    with bounded_allocations(ALLOWANCE):
-        yield
 
 
 def tiny_codebook(residual: bool = True) -> Codebook:
@@ -92,24 +84,10 @@ def faiss_bytes(residual: bool) -> bytes:
     return b"IwPQ" + header + inverted + struct.pack("<?Q", True, 2) + quantizer + b"il00"
 
 
-def survivors(path: Path, seed: int, read: Callable[[Path], object], count: int = MUTANTS) -> int:
-    """How many mutants of a file are read; anything but our own errors fails the test."""
-    good, survived = path.read_bytes(), 0
-    read(path)
-    for mutant in mutants(good, seeded(seed), count):
-        path.write_bytes(mutant)
-        try:
-            read(path)
-            survived += 1
-        except DrSplatError:
-            pass
-    return survived
-
-
 def use_field(path: Path) -> None:
     """Load a field and do what a user would: whatever loads must also work."""
     field = load_field(path.parent)
-    query = np.array([1, 2, 3, 4], np.float32)
+    query = np.float32([1, 2, 3, 4])
     with np.errstate(all="ignore"):
         field.scores(query, threads=1)
         assert (field.select(query, -2.0, threads=1).rows < len(field)).all()
@@ -136,7 +114,7 @@ def test_damaged_fields(name, count, mixture, tmp_path, bounded_memory):
     for file, content in field_files(mixture).items():
         (tmp_path / file).write_bytes(content)
     read = use_field if name != "field.json" else lambda path: load_field(path.parent)
-    assert 0 < survivors(tmp_path / name, len(name), read, count) < count
+    assert 0 < survivors(tmp_path / name, read, seeded(len(name)), count) < count
 
 
 @pytest.mark.slow
@@ -144,7 +122,7 @@ def test_damaged_objects(tmp_path, bounded_memory):
     for file, content in field_with_objects(False).items():
         (tmp_path / file).write_bytes(content)
     with np.errstate(all="ignore"):
-        assert 0 < survivors(tmp_path / "objects.safetensors", 4, use_objects, quota(1000)) < quota(1000)
+        assert 0 < survivors(tmp_path / "objects.safetensors", use_objects, seeded(4), quota(1000)) < quota(1000)
 
 
 @pytest.mark.slow
@@ -153,14 +131,14 @@ def test_damaged_objects_are_an_error_or_the_same(tmp_path, bounded_memory):
         (tmp_path / file).write_bytes(content)
     expected = with_objects()[0].objects
 
-    def read(path: Path) -> None:
+    def read(path):
         found = load_field(path.parent).objects
         assert found is not None
         for name, array in expected.tensors().items():
             np.testing.assert_array_equal(getattr(found, name), array)
 
     with np.errstate(all="ignore"):
-        assert survivors(tmp_path / "objects.safetensors", 5, read, quota(300)) < quota(300)
+        assert survivors(tmp_path / "objects.safetensors", read, seeded(5), quota(300)) < quota(300)
 
 
 @pytest.mark.slow
@@ -169,19 +147,19 @@ def test_damaged_tensors(tmp_path, bounded_memory):
     write_tensors(tmp_path / "a", arrays, {"key": "value"})
     without_checksums(tmp_path / "a")
 
-    def touch(path: Path) -> None:
+    def touch(path):
         with np.errstate(all="ignore"):
             for array in map_tensors(path)[0].values():
                 array.sum()
 
-    assert 0 < survivors(tmp_path / "a", 1, touch) < MUTANTS
+    assert 0 < survivors(tmp_path / "a", touch, seeded(1), MUTANTS) < MUTANTS
 
 
 @pytest.mark.slow
 def test_damaged_codebooks(tmp_path, bounded_memory):
     save_codebook(tiny_codebook(), tmp_path / "a")
     # the hash notices all damage but to the names of things that are not there
-    assert survivors(tmp_path / "a", 2, load_codebook) < MUTANTS / 20
+    assert survivors(tmp_path / "a", load_codebook, seeded(2), MUTANTS) < MUTANTS / 20
 
 
 @pytest.mark.slow
@@ -190,7 +168,7 @@ def test_damaged_faiss_indices(residual, tmp_path, bounded_memory):
     path = tmp_path / "a.faiss"
     path.write_bytes(faiss_bytes(residual))
     assert read_faiss_codebook(path, TINY).hash == tiny_codebook(residual).hash
-    survived = survivors(path, 3, lambda p: read_faiss_codebook(p, TINY).hash, MUTANTS // 2)
+    survived = survivors(path, lambda p: read_faiss_codebook(p, TINY).hash, seeded(3), MUTANTS // 2)
     assert 0 < survived < MUTANTS // 2
 
 

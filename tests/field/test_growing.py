@@ -30,7 +30,7 @@ CODES = (PQ(4), Mixture(2), Smaller(3))
 
 
 @pytest.fixture(autouse=True)
-def _learnt_from_two(monkeypatch: pytest.MonkeyPatch) -> None:
+def _learnt_from_two(monkeypatch) -> None:
     """Of seven views: so that what is learnt sometimes changes, and mostly does not."""
     monkeypatch.setattr(learning, "MAX_LEARNING_VIEWS", 2)
 
@@ -65,11 +65,11 @@ def test_any_order_of_adding_and_removing_with_kills_is_one_registration(tmp_pat
     names, ever = set(first), set(first)
     at_once(remaining(names), code, how).save(path)
 
-    def become(wanted: set[str]) -> None:
-        def add(field: LanguageField) -> Change:
+    def become(wanted):
+        def add(field):
             return added(field, *wanted, parts=parts, back=wanted)
 
-        def remove(field: LanguageField) -> Change:
+        def remove(field):
             gone = set(field.evidence.masks.view_names) - wanted
             return remove_views(field, scene(), gone) if gone else Change(field)
 
@@ -255,7 +255,7 @@ def test_columns_that_come_and_go_are_those_of_dense_matrices(seed, gone, count)
     """Views of any order of names, columns and rows without entries among them."""
     rng = default_rng(seed)
 
-    def evidence(names: list[str]) -> Evidence:
+    def evidence(names):
         of_view = np.repeat(np.arange(len(names), dtype=np.int32), rng.integers(0, 4, len(names)))
         ids = np.concatenate([np.arange(n, dtype=np.int32) for n in np.bincount(of_view, minlength=len(names))])
         dense = rng.random((20, len(ids)), np.float32) * (rng.random((20, len(ids))) < 0.2)

@@ -104,7 +104,7 @@ def test_a_mask_of_two_things_is_left_out_by_one_rule_and_chains_by_the_other():
 
 
 def test_a_row_between_two_masks_is_in_none_and_things_hang_together():
-    weights = csr_array(np.array([[0.6, 0.4], [0.9, 0.1]], np.float32))
+    weights = csr_array(np.float32([[0.6, 0.4], [0.9, 0.1]]))
     two = Evidence(weights, MaskIds(("a",), np.zeros(2, np.int32), np.arange(2, dtype=np.int32)), np.ones((2, 1), "f4"))
     assert dominant(two, 0.8).toarray().tolist() == [[0, 0], [1, 0]]
     assert dominant(two, 0.5).toarray().tolist() == [[1, 0], [1, 0]]

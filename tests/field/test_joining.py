@@ -52,7 +52,7 @@ def spheres(points: np.ndarray, size: float) -> Gaussians:
     count = len(points)
     return Gaussians(
         np.ascontiguousarray(points, np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
         np.full((count, 3), size, np.float32),
         np.full(count, 0.99, np.float32),
         np.zeros((count, 1, 3), np.float32),
@@ -138,7 +138,7 @@ def test_borders_are_the_same_at_any_number_of_threads():
 
 def known(pairs: dict[tuple[int, int], tuple[int, int]], areas: list[int]) -> Borders:
     """pairs: by nearer and further piece, pixels where depth goes on, and where it jumps."""
-    front, back = (np.array([pair[k] for pair in pairs], np.int32) for k in (0, 1))
+    front, back = (np.int32([pair[k] for pair in pairs]) for k in (0, 1))
     levels, jumps = np.array(list(pairs.values()), np.int64).reshape(-1, 2).T
     return Borders(front, back, levels, levels + jumps, np.array(areas, np.int64))
 
@@ -162,7 +162,7 @@ def test_what_fills_more_than_half_of_the_photos_is_the_room():
 
 def test_what_masks_hold_as_a_whole_stays_a_thing():
     """Every photo has a mask of the third piece: it is left out where it is small, else nothing is joined."""
-    sure = np.array([UNSURE, UNSURE, 0.8, UNSURE], np.float32)
+    sure = np.float32([UNSURE, UNSURE, 0.8, UNSURE])
     (thing,) = join(known(DOLL, [4000, 3000, 500, 90_000]), sure)
     assert thing.members == [0, 1]
     pairs = {(0, 1): (500, 0), (0, 2): (50, 1000), (1, 2): (20, 700)}

@@ -100,7 +100,7 @@ def test_rows_that_are_not_there_at_a_time_are_not_seen_then():
     stamps = np.array([0.0, 1.0])
     gone = np.arange(len(scene())) % 2 == 0
 
-    def frame(number: int):
+    def frame(number):
         return replace(scene(), opacities=np.where(gone & (number == 1), np.float32(0), scene().opacities))
 
     moving = Moving(scene(), stamps, Frames(stamps, frame))
@@ -195,10 +195,10 @@ class Killed(BaseException):
 
 
 def test_a_killed_registration_goes_on_to_the_same_bits(tmp_path, monkeypatch):
-    looked: list[str] = []
+    looked = []
     seen = MovingScenery.visible_splats
 
-    def dying(self: MovingScenery, view: View):
+    def dying(self, view):
         if len(looked) == 4:
             raise Killed
         looked.append(view.name)

@@ -1,6 +1,5 @@
 """Objects of scenes in blocks: cut anywhere, by anybody, in any order of rows."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from scipy.sparse import csr_array
 from test_objects_found import registered
 
 import drsplat as ds
+from command_line import answer_of, error_of
 from drsplat.cli import main
 from drsplat.errors import FormatError
 from drsplat.field.objects import finding
@@ -38,7 +38,7 @@ def row_of_things(count: int = 6, each: int = 150, seed: int = 0) -> tuple[ds.Ga
 
 
 @pytest.fixture
-def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_blocks(monkeypatch) -> None:
     """Of three thousand weights each; three or four for a row of things."""
     monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
     monkeypatch.setattr(finding, "WEIGHTS_PER_ROW", 1000)
@@ -157,7 +157,9 @@ def looking(scene: Tiles) -> list[ds.View]:
     ]
 
 
-@pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
+@pytest.mark.parametrize(
+    "launcher", [OneProcess(), pytest.param(Processes(2), marks=pytest.mark.slow)], ids=["here", "processes"]
+)
 def test_objects_of_tiles_are_those_of_the_whole(tmp_path, small_blocks, launcher):
     tiles, field = in_tiles_of(tmp_path)
     views = looking(tiles)
@@ -219,7 +221,7 @@ def test_no_room_is_told_and_nothing_is_lost(tmp_path, small_blocks, monkeypatch
     how = {"parts": str(tmp_path / "parts"), "views": [], "threads": 1}
     writing, count = store.write_tensors, 0
 
-    def full(path: Path, *given: object, **more: object) -> None:
+    def full(path, *given, **more):
         nonlocal count
         count += ".nodes." in path.name
         if count == 2:
@@ -240,17 +242,14 @@ def test_labels_stay_when_objects_are_found_by_workers(tmp_path, capsys):
     _, field = in_tiles_of(tmp_path)
     field.save(tmp_path / "s.field")
     command = ["objects", str(tmp_path / "s.field"), "--scene", str(tmp_path / "scene.tiles")]
-    assert main([*command, "--json"]) == 0
-    first = json.loads(capsys.readouterr().out)["objects"]
+    first = answer_of(capsys, *command)["objects"]
     assert len(first) == 7
     assert main([*command, "--label", "my plank", "--id", "0"]) == 0
     capsys.readouterr()
-    assert main([*command, "--again", "--workers", "2", "--threads", "1", "--json"]) == 0
-    again = json.loads(capsys.readouterr().out)["objects"]
+    again = answer_of(capsys, *command, "--again", "--workers", "2", "--threads", "1")["objects"]
     assert [one["label"] for one in again] == ["my plank", *[None] * 6]
     assert [one["num_gaussians"] for one in again] == [one["num_gaussians"] for one in first]
     assert not (tmp_path / "s.field.parts").exists()
     ds.write_gaussians(tmp_path / "plain.ply", read_tiles(tmp_path / "scene.tiles").gaussians())
     command[3] = str(tmp_path / "plain.ply")
-    assert main([*command, "--again", "--workers", "2"]) == 1
-    assert "drsplat tile" in capsys.readouterr().err
+    assert "drsplat tile" in error_of(capsys, *command, "--again", "--workers", "2")

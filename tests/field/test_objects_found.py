@@ -37,7 +37,7 @@ def forest(parents: list[int], sizes: list[int], fits: list[float], spreads: lis
 
 def test_a_whole_that_masks_fit_is_better_than_its_halves():
     """Closed form: 4 sqrt(0.81) = 3.6 against 2 sqrt(0.64) + 2 sqrt(0.64) = 3.2, and the other way round."""
-    parents = np.array([2, 2, -1], np.int32)
+    parents = np.int32([2, 2, -1])
     assert best_nodes(parents, np.array([1.6, 1.6, 3.6])).tolist() == [False, False, True]
     assert best_nodes(parents, np.array([1.6, 2.1, 3.6])).tolist() == [True, True, False]
     assert best_nodes(parents, np.array([1.6, -1.0, -1.0])).tolist() == [True, False, False]
@@ -104,7 +104,7 @@ def gaussians(points: np.ndarray) -> Gaussians:
     count = len(points)
     return Gaussians(
         means=points.astype(np.float32),
-        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
         scales=np.full((count, 3), 0.02, np.float32),
         opacities=np.full(count, 0.9, np.float32),
         sh=np.zeros((count, 1, 3), np.float32),

@@ -82,7 +82,7 @@ def test_masks_of_a_photo_are_held_to_outlines_at_their_own_size():
 
 
 @pytest.fixture(scope="module")
-def clicks(tmp_path_factory: pytest.TempPathFactory) -> Clicks:
+def clicks(tmp_path_factory) -> Clicks:
     """Of every ninth photo and those with outlines, in a small and rough scene."""
     outlines = read_outlines(outlines_path("plush"))
     views = [view for n, view in enumerate(read_views(PLUSH)) if n % 9 == 0 or view.name in outlines]

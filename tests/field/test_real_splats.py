@@ -25,7 +25,7 @@ def guitar() -> ds.Gaussians:
 
 
 @pytest.fixture(scope="module")
-def capture(guitar: ds.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def capture(guitar, tmp_path_factory) -> Path:
     """Photos, cameras.json and features of the guitar, as files."""
     folder = tmp_path_factory.mktemp("guitar")
     write_capture(folder, guitar, orbit(guitar, UP, 15, 400))
@@ -33,7 +33,7 @@ def capture(guitar: ds.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 @pytest.fixture(scope="module")
-def field(guitar: ds.Gaussians, capture: Path) -> ds.LanguageField:
+def field(guitar, capture) -> ds.LanguageField:
     """Registered from those files, saved and loaded."""
     features = ds.read_features(capture / "features", encoder=ColourEncoder.identity)
     registration = ds.register(guitar, ds.read_views(capture), features)

@@ -215,7 +215,7 @@ def test_what_does_not_belong_together_is_refused(gaussians, registration):
 
 def test_each_stage_that_takes_long_can_be_followed(gaussians):
     views, features = capture(4)
-    told: dict[str, int] = {}
+    told = {}
 
     def follow(items, description):
         for item in items:
@@ -254,16 +254,16 @@ def test_masks_lie_on_the_photo_as_stored():
     gaussian = random_gaussians(1, seed=0)
     gaussian = replace(
         gaussian,
-        means=np.array([[2.4, 1.8, 0]], np.float32),
+        means=np.float32([[2.4, 1.8, 0]]),
         scales=np.full((1, 3), 0.01, np.float32),
-        opacities=np.array([0.9], np.float32),
+        opacities=np.float32([0.9]),
     )
     in_camera = view.cam_from_world @ [2.4, 1.8, 0, 1]
     in_pinhole = (view.K @ in_camera[:3])[:2] / in_camera[2]
     on_photo = distort_points(view, in_pinhole)
     assert np.linalg.norm(on_photo - in_pinhole) > 3
 
-    def weight_of_a_mask_around(place) -> float:
+    def weight_of_a_mask_around(place):
         ids = np.full((48, 64), -1, np.int32)
         x, y = np.floor(place).astype(int)
         ids[y - 1 : y + 2, x - 1 : x + 2] = 0

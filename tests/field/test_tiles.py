@@ -18,6 +18,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import drsplat as ds
+from command_line import answer_of, error_of
 from drsplat.cli import main
 from drsplat.errors import FormatError, InputError
 from drsplat.field.codes import Smaller
@@ -57,7 +58,7 @@ def tiled(gaussians: ds.Gaussians, folder: Path, rows: int = 50) -> Tiles:
 
 
 @pytest.fixture(scope="module")
-def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def toy(tmp_path_factory) -> Path:
     folder = write_toy_capture(tmp_path_factory.mktemp("toy"))
     cut(blocks_of([folder / "scene.ply"]), folder / "scene.tiles", 37)
     return folder
@@ -270,13 +271,39 @@ def test_few_tiles_are_held(tmp_path):
 # --- registration -------------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def tiles(toy) -> Tiles:
+    return read_tiles(toy / "scene.tiles")
+
+
 def inputs(toy: Path) -> tuple[list[ds.View], ds.formats.langsplat.FeatureFolder]:
     return ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
 
 
+@pytest.fixture(scope="module")
+def views(toy) -> list[ds.View]:
+    return inputs(toy)[0]
+
+
+@pytest.fixture(scope="module")
+def features(toy) -> ds.formats.langsplat.FeatureFolder:
+    return inputs(toy)[1]
+
+
+@pytest.fixture(scope="module")
+def at_once(tiles, views, features) -> ds.Registration:
+    """The scene in one piece, which is what its tiles have to give, to the bit."""
+    return ds.register(tiles.gaussians(), views, features)
+
+
+@pytest.fixture
+def parts(tmp_path) -> Path:
+    return tmp_path / "parts"
+
+
 def counted(*given: object, **more: object) -> tuple[ds.Registration, Work]:
     """A registration in tiles, and how much was done for it."""
-    told: list[Work] = []
+    told = []
     made = register_tiles(*given, **more, tell=told.append)
     return made, told[0]
 
@@ -286,54 +313,51 @@ def saved(field: ds.LanguageField, path: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in sorted(path.iterdir())}
 
 
-def test_masks_of_photos_leave_out_of_tiles_what_they_leave_out_of_the_whole(toy, tmp_path):
+def test_masks_of_photos_leave_out_of_tiles_what_they_leave_out_of_the_whole(tmp_path, tiles, parts, views, features):
     mask = np.zeros((72, 96), np.uint8)
     mask[:, 50:] = 255
     Image.fromarray(mask).save(tmp_path / "half.png")
     Image.fromarray(0 * mask).save(tmp_path / "black.png")
-    tiles, (views, features) = read_tiles(toy / "scene.tiles"), inputs(toy)
     masked = [
         replace(view, mask_path=tmp_path / name)
         for view, name in zip(views[:2], ("half.png", "black.png"), strict=True)
     ]
     with pytest.warns(ds.DrSplatWarning, match="1 of 4 photos are not used"):
-        made = register_tiles(tiles, masked + views[2:], features, parts=tmp_path / "parts", threads=1)
+        made = register_tiles(tiles, masked + views[2:], features, parts=parts, threads=1)
     with pytest.warns(ds.DrSplatWarning, match="1 of 4 photos are not used"):
-        at_once = ds.register(tiles.gaussians(), masked + views[2:], features)
+        whole = ds.register(tiles.gaussians(), masked + views[2:], features)
     assert len(made.masks.view_names) == 3
-    assert_array_equal(made.weights.data, at_once.weights.data)
+    assert_array_equal(made.weights.data, whole.weights.data)
     assert made.weights.nnz < ds.register(tiles.gaussians(), [views[0], *views[2:]], features).weights.nnz
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
 @pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
-def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, monkeypatch):
+def test_a_field_of_tiles_is_that_of_the_whole(
+    tmp_path, launcher, code, monkeypatch, tiles, parts, views, features, at_once
+):
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)  # several runs
-    tiles = read_tiles(toy / "scene.tiles")
-    views, features = inputs(toy)
-    made, work = counted(tiles, views, features, parts=tmp_path / "parts", launcher=launcher, threads=1)
+    made, work = counted(tiles, views, features, parts=parts, launcher=launcher, threads=1)
     assert (work.views, work.views_before, work.runs_before) == (4, 0, 0)
     assert work.runs > 1
-    at_once = ds.register(tiles.gaussians(), views, features)
     assert saved(made.to_field(code), tmp_path / "a.field") == saved(at_once.to_field(code), tmp_path / "b.field")
-    again, work = counted(tiles, views, features, parts=tmp_path / "parts", threads=1)
+    again, work = counted(tiles, views, features, parts=parts, threads=1)
     assert (work.views, work.runs) == (0, 0)
     assert_array_equal(again.weights.data, made.weights.data)
 
 
 @pytest.mark.parametrize("name", ["inliers", "trusted", "robust"])
 @pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
-def test_features_of_tiles_are_those_of_the_whole(toy, tmp_path, name, code, monkeypatch):
+def test_features_of_tiles_are_those_of_the_whole(
+    tmp_path, name, code, monkeypatch, tiles, parts, views, features, at_once
+):
     """Neighbours that vote lie in other runs, and the largest Gaussians, which are spread, are a run of their own."""
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
-    tiles = read_tiles(toy / "scene.tiles")
-    views, features = inputs(toy)
-    made = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
+    made = register_tiles(tiles, views, features, parts=parts, threads=1)
     monkeypatch.setattr(Aggregator, "__call__", None)  # nobody looks at all rows
     field = made.to_field(code, aggregator=name, gaussians=None, threads=1)
     monkeypatch.undo()
-    at_once = ds.register(tiles.gaussians(), views, features)
     whole = at_once.to_field(code, aggregator=name, gaussians=tiles.gaussians(), threads=1)
     assert saved(field, tmp_path / "a.field") == saved(whole, tmp_path / "b.field")
     before = written(tmp_path / "parts")
@@ -345,15 +369,14 @@ def written(folder: Path) -> dict[str, int]:
     return {str(file): file.stat().st_mtime_ns for file in folder.rglob("*.safetensors")}
 
 
-def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
+def test_codes_that_are_there_are_not_made_again(monkeypatch, tiles, parts, views, features):
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
-    tiles, parts = read_tiles(toy / "scene.tiles"), tmp_path / "parts"
-    field = register_tiles(tiles, *inputs(toy), parts=parts, threads=1).to_field(ds.Mixture())
+    field = register_tiles(tiles, views, features, parts=parts, threads=1).to_field(ds.Mixture())
     made = sorted((parts / "codes").iterdir())
     before = [file.stat().st_mtime_ns for file in made]
     assert len(made) > 1
     made[0].write_bytes(b"damaged")
-    again = register_tiles(tiles, *inputs(toy), parts=parts, threads=1)
+    again = register_tiles(tiles, views, features, parts=parts, threads=1)
     assert again.to_field(ds.Mixture()).equals(field)
     assert [file.stat().st_mtime_ns == old for file, old in zip(made, before, strict=True)] == [
         False, *[True] * (len(made) - 1)
@@ -363,28 +386,25 @@ def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_atoms_that_cannot_be_addressed_are_left_out_of_tiles_too(toy, tmp_path, monkeypatch):
+def test_atoms_that_cannot_be_addressed_are_left_out_of_tiles_too(monkeypatch, tiles, parts, views, features):
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
     monkeypatch.setattr("drsplat.field.codes.mixture.encoding.MAX_SCENE_ATOMS", 1)
-    tiles, (views, stored), rng = read_tiles(toy / "scene.tiles"), inputs(toy), default_rng(0)
-    features = {
-        name: replace(stored[name], embeddings=unit_rows(rng, *stored[name].embeddings.shape)) for name in stored
+    rng = default_rng(0)
+    others = {
+        name: replace(features[name], embeddings=unit_rows(rng, *features[name].embeddings.shape)) for name in features
     }
-    made = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
+    made = register_tiles(tiles, views, others, parts=parts, threads=1)
     most = len(made.to_field(ds.Mixture()).code.atoms) - 2
     for module in ("field.codes.mixture.encoding", "field.tiles.registering"):
         monkeypatch.setattr(f"drsplat.{module}.MAX_ATOMS", most)
-    at_once = ds.register(tiles.gaussians(), views, features).to_field(ds.Mixture())
-    assert 1 < len(at_once.code.atoms) <= most
-    assert made.to_field(ds.Mixture()).equals(at_once)
+    whole = ds.register(tiles.gaussians(), views, others).to_field(ds.Mixture())
+    assert 1 < len(whole.code.atoms) <= most
+    assert made.to_field(ds.Mixture()).equals(whole)
 
 
 @pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
-def test_other_embeddings_are_not_mixed_up_with_those_on_disk(toy, tmp_path, code):
-    tiles = read_tiles(toy / "scene.tiles")
-    views, features = inputs(toy)
-    made = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
-    at_once = ds.register(tiles.gaussians(), views, features)
+def test_other_embeddings_are_not_mixed_up_with_those_on_disk(code, tiles, parts, views, features, at_once):
+    made = register_tiles(tiles, views, features, parts=parts, threads=1)
     made.to_field(code)
     other = np.roll(made.embeddings, 1, axis=0)
     swapped = [one.with_embeddings(other, one.encoder).to_field(code) for one in (made, at_once)]
@@ -393,47 +413,40 @@ def test_other_embeddings_are_not_mixed_up_with_those_on_disk(toy, tmp_path, cod
     assert fewer[0].equals(fewer[1])
 
 
-def test_a_changed_mask_is_seen(toy, tmp_path):
-    tiles = read_tiles(toy / "scene.tiles")
-    views, features = inputs(toy)
-    register_tiles(tiles, views, features, parts=tmp_path / "parts")
+def test_a_changed_mask_is_seen(tiles, parts, views, features):
+    register_tiles(tiles, views, features, parts=parts)
     changed = {name: features[name] for name in features}
     first = next(iter(changed))
     changed[first] = replace(changed[first], mask_ids=np.maximum(changed[first].mask_ids, 0))
-    made, work = counted(tiles, views, changed, parts=tmp_path / "parts")
+    made, work = counted(tiles, views, changed, parts=parts)
     assert work.views == 1
     assert work.runs_before == 0
     expected = ds.register(tiles.gaussians(), views, changed)
     assert_array_equal(made.weights.toarray(), expected.weights.toarray())
 
 
-def test_a_damaged_part_is_made_again(toy, tmp_path):
-    tiles = read_tiles(toy / "scene.tiles")
-    views, features = inputs(toy)
-    whole = register_tiles(tiles, views, features, parts=tmp_path / "parts")
+def test_a_damaged_part_is_made_again(tmp_path, tiles, parts, views, features):
+    whole = register_tiles(tiles, views, features, parts=parts)
     expected = whole.weights.toarray()
     for file in [*tmp_path.glob("parts/*.columns.safetensors")][:1] + [*tmp_path.glob("parts/rows/*.rows.safetensors")][
         :1
     ]:
         file.write_bytes(file.read_bytes()[:-5])
-    made, work = counted(tiles, views, features, parts=tmp_path / "parts")
+    made, work = counted(tiles, views, features, parts=parts)
     assert (work.views, work.runs) == (1, 1)
     assert_array_equal(made.weights.toarray(), expected)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
-def test_an_object_store_holds_the_work(toy, tmp_path, launcher, monkeypatch):
+def test_an_object_store_holds_the_work(tmp_path, launcher, monkeypatch, tiles, views, features, at_once):
     """Of workers that see neither the tiles' folder nor that of the features."""
     pytest.importorskip("fsspec", reason="needs fsspec")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     url = f"local://{tmp_path}/bucket"
-    tiles = read_tiles(toy / "scene.tiles")
-    views, features = inputs(toy)
     made, work = counted(tiles, views, features, parts=url, launcher=launcher, threads=1)
     assert work.views == 4
-    at_once = ds.register(tiles.gaussians(), views, features)
     assert saved(made.to_field(), tmp_path / "a.field") == saved(at_once.to_field(), tmp_path / "b.field")
     for cached in tmp_path.glob("drsplat-store-*"):  # another machine has none of it
         cached.rename(tmp_path / "gone")
@@ -442,29 +455,26 @@ def test_an_object_store_holds_the_work(toy, tmp_path, launcher, monkeypatch):
     assert_array_equal(again.weights.data, at_once.weights.data)
 
 
-def test_an_address_that_held_another_scene(toy, tmp_path, monkeypatch):
+def test_an_address_that_held_another_scene(tmp_path, monkeypatch, tiles, views, features):
     """Of as many Gaussians in tiles of the same names."""
     pytest.importorskip("fsspec", reason="needs fsspec")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    first = read_tiles(toy / "scene.tiles")
-    whole = first.gaussians()
+    whole = tiles.gaussians()
     ds.write_gaussians(tmp_path / "scene.ply", replace(whole, scales=whole.scales * np.float32(0.5)))
     second = cut(blocks_of([tmp_path / "scene.ply"]), tmp_path / "second.tiles", 37)
-    views, features = inputs(toy)
-    for tiles in (first, second):
-        made = register_tiles(tiles, views, features, parts=f"local://{tmp_path}/bucket", threads=1)
-        expected = ds.register(tiles.gaussians(), views, features)
+    for scene in (tiles, second):
+        made = register_tiles(scene, views, features, parts=f"local://{tmp_path}/bucket", threads=1)
+        expected = ds.register(scene.gaussians(), views, features)
         assert_array_equal(made.weights.toarray(), expected.weights.toarray())
 
 
-def test_what_was_made_and_not_sent_is_sent(toy, tmp_path, monkeypatch):
+def test_what_was_made_and_not_sent_is_sent(tmp_path, monkeypatch, tiles, views, features):
     """Killed in between, on the machine that goes on; others need it too."""
     pytest.importorskip("fsspec", reason="needs fsspec")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    tiles, bucket = read_tiles(toy / "scene.tiles"), tmp_path / "bucket"
-    views, features = inputs(toy)
+    bucket = tmp_path / "bucket"
     how = {"parts": f"local://{bucket}", "threads": 1}
     register_tiles(tiles, views, features, **how)
     there = {file.relative_to(bucket) for file in bucket.rglob("*.safetensors")}
@@ -475,7 +485,7 @@ def test_what_was_made_and_not_sent_is_sent(toy, tmp_path, monkeypatch):
     assert {file.relative_to(bucket) for file in bucket.rglob("*.safetensors")} == there
 
 
-def test_an_address_that_nobody_knows(tmp_path):
+def test_an_address_that_nobody_knows():
     pytest.importorskip("fsspec", reason="needs fsspec")
     with refused("nowhere"):
         Remote("nowhere://bucket").bring("a")
@@ -526,8 +536,7 @@ def fields_of(folder: Path) -> dict[str, bytes]:
 @pytest.mark.slow
 def test_a_tiled_scene_from_the_command_line(toy, tmp_path, capsys):
     tiles, plain = tmp_path / "s.tiles", tmp_path / "s.field"
-    assert main(["tile", str(toy / "scene.ply"), "-o", str(tiles), "--rows", "60", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["num_tiles"] > 4
+    assert answer_of(capsys, "tile", toy / "scene.ply", "-o", tiles, "--rows", "60")["num_tiles"] > 4
     features = ["--features", str(toy / "capture/language_features")]
     register = ["register", str(tiles), str(toy / "capture"), *features, "--encoder-name", "drsplat-words"]
     assert main([*register, "-o", str(plain), "--workers", "2", "--threads", "1"]) == 0
@@ -542,11 +551,9 @@ def test_a_tiled_scene_from_the_command_line(toy, tmp_path, capsys):
 def test_workers_are_for_tiles(toy, tmp_path, capsys):
     features = ["--features", str(toy / "capture/language_features")]
     register = ["register", str(toy / "scene.ply"), str(toy / "capture"), *features, "-o", str(tmp_path / "f")]
-    assert main([*register, "--workers", "2"]) == 1
-    assert "drsplat tile" in capsys.readouterr().err
+    assert "drsplat tile" in error_of(capsys, *register, "--workers", "2")
     register[1] = str(toy / "scene.tiles")
-    assert main([*register, "--workers", "2", "--ray", "local"]) == 1
-    assert "two ways" in capsys.readouterr().err
+    assert "two ways" in error_of(capsys, *register, "--workers", "2", "--ray", "local")
 
 
 @pytest.mark.slow

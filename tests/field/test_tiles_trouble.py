@@ -1,7 +1,6 @@
 """A disk that is full at any file of any step of tiles, and tiles that are damaged between steps: nothing is lost."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -24,7 +23,7 @@ HERE = OneProcess()
 
 
 @pytest.fixture
-def capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def capture(tmp_path, monkeypatch) -> Path:
     """Some photos and tiles, of which runs and blocks are made small, so that there are several."""
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
     monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
@@ -57,10 +56,10 @@ def made_by_tasks(parts: Path) -> dict[str, int]:
 
 @pytest.mark.slow
 def test_a_full_disk_at_any_kind_of_file_is_told_and_loses_nothing(capture, tmp_path, monkeypatch):
-    names: list[str] = []
+    names = []
     new_file, refused = replacing._new_file, ""
 
-    def maybe_full(path: Path) -> object:
+    def maybe_full(path):
         nonlocal refused
         names.append(kind_of(path.name))
         if names[-1] == refused:
@@ -86,7 +85,7 @@ def test_a_tile_that_is_damaged_between_steps_is_told(capture, tmp_path, step):
     tiles, parts = read_tiles(capture / "scene.tiles"), tmp_path / "parts"
     made = register_tiles(tiles, *inputs(capture), parts=parts, threads=1)
     field = made.to_field(ds.PQ(), threads=1)
-    steps: dict[str, Callable[[], object]] = {
+    steps = {
         "features": lambda: made.to_field(ds.PQ(), aggregator=AGGREGATOR, gaussians=None, threads=1),
         "objects": lambda: in_tiles.find_objects(field, read_tiles(tiles.path), parts=str(parts), views=[], threads=1),
     }

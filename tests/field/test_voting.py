@@ -23,8 +23,8 @@ def photo_of(rng: np.random.Generator, sheet: float = 0.9, inner: float = 0.4, c
     shift = rng.integers(-4, 5, 2)
     labels[SHEET], labels[PRINT], labels[CUP] = 1, 2, 3
     labels = np.roll(labels, shift, (0, 1))
-    pairs = np.array([[1, 2], [0, 3], [5, 4]], np.int32)
-    touching = np.array([[0, 1], [0, 3], [1, 2]], np.int32)
+    pairs = np.int32([[1, 2], [0, 3], [5, 4]])
+    touching = np.int32([[0, 1], [0, 3], [1, 2]])
     lengths = np.array([68.0, 24, 28])
     return RegionTree(labels, pairs, touching, lengths, lengths * (sheet, cup, inner))
 
@@ -77,8 +77,8 @@ def test_a_thing_and_the_ground_are_not_joined():
 def test_most_photos_decide():
     """In some the sheet's outline is taken for the print's: there its union is that of print and ground."""
 
-    def misled(tree: RegionTree) -> RegionTree:
-        pairs = np.array([[0, 1], [4, 3], [5, 2]], np.int32)
+    def misled(tree):
+        pairs = np.int32([[0, 1], [4, 3], [5, 2]])
         return RegionTree(tree.labels, pairs, tree.touching, tree.lengths, tree.strengths)
 
     for wrong, joined in ((2, [{1, 2}]), (5, [])):

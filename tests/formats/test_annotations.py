@@ -1,18 +1,17 @@
 """Annotations: kept beside the scene as GeoJSON has features."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from drsplat.scene.labelled import Annotation
 
 from drsplat.formats.annotations import AnnotationFile
+from drsplat.scene.labelled import Annotation
 from refusing import malformed, refused
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> AnnotationFile:
+def file(tmp_path) -> AnnotationFile:
     return AnnotationFile.beside(tmp_path / "scene.ply")
 
 

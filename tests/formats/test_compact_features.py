@@ -1,7 +1,6 @@
 """Features in the compact form: the same as LangSplat's files hold, read by all that read those."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,8 @@ from numpy.testing import assert_array_equal
 from test_embedding import a_view
 
 import drsplat as ds
-from drsplat import cli
-from drsplat.errors import DrSplatError, FormatError, InputError
+from command_line import answer_of
+from drsplat.errors import FormatError, InputError
 from drsplat.formats import compact_features
 from drsplat.formats.compact_features import read_compact, write_compact
 from drsplat.formats.embedding_record import COMPACT
@@ -22,15 +21,7 @@ from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.photos.embedding.embed import EmbeddingReport, embed
 from fake_models import ColorSegmenter, LargeSegmenter, ThumbnailEncoder
 from fields import unit_rows, without_checksums
-from mutations import bounded_allocations, mutants, quota
-
-ALLOWANCE = 48 << 20
-
-
-@pytest.fixture
-def bounded_memory() -> Iterator[None]:
-    with bounded_allocations(ALLOWANCE):
-        yield
+from mutations import quota, seeded, survivors
 
 
 def blocks(seed: int = 0, levels: int = 4, count: int = 9) -> np.ndarray:
@@ -139,8 +130,7 @@ def test_inspect_tells_features_of_either_form(tmp_path, capsys):
     told = []
     for form in ("compact", "langsplat"):
         embed(views, tmp_path / form, LargeSegmenter(), ThumbnailEncoder(), form=form)
-        assert cli.main(["inspect", str(tmp_path / form), "--json"]) == 0
-        told.append(json.loads(capsys.readouterr().out) | {"path": ""})
+        told.append(answer_of(capsys, "inspect", tmp_path / form) | {"path": ""})
     assert told[0] == told[1]
     assert told[0]["kind"] == "features"
 
@@ -198,11 +188,6 @@ def test_mutants_are_read_or_refused(tmp_path, bounded_memory, monkeypatch):
     path = hostile(tmp_path / f"a{COMPACT}")
     without_checksums(path)
     monkeypatch.setattr(compact_features, "read_tensors", map_tensors)
-    good, refused, count = path.read_bytes(), 0, quota(800)
-    for mutant in mutants(good, default_rng(0), count):
-        path.write_bytes(mutant)
-        try:
-            FeatureFolder(tmp_path, LEVELS.index("large"))["a"]
-        except DrSplatError:
-            refused += 1
-    assert 0 < refused < count
+    count = quota(800)
+    survived = survivors(path, lambda _: FeatureFolder(tmp_path, LEVELS.index("large"))["a"], seeded(0), count)
+    assert 0 < survived < count

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
+from command_line import answer_of, error_of
 from drsplat import _native
 from drsplat.cli import main
 from drsplat.errors import DrSplatError, FormatError
@@ -24,6 +24,7 @@ from drsplat.formats.tensors import map_tensors, read_tensors, sealed, write_ten
 from drsplat.formats.vocabulary import read_vocabulary
 from fields import SCENE, TOY, as_version_2, random_evidence, toy_field, unit_rows
 from mutations import quota
+from refusing import malformed
 
 FLIPS = quota(400)
 
@@ -89,9 +90,9 @@ def test_damage_is_found_at_first_use_and_by_verify(tmp_path):
     field = load_field(path)
     assert len(field.top(unit_rows(default_rng(0), 1, 32)[0], 3).rows) == 3
     for use in (field.verify, lambda: field.evidence, lambda: field.explain(0, np.ones(32, "f4"))):
-        with pytest.raises(FormatError, match=r"evidence.*'data' is not what was written.*register"):
+        with malformed(r"evidence.*'data' is not what was written.*register"):
             use()
-    with pytest.raises(FormatError, match="not what was written"):
+    with malformed("not what was written"):
         field.save(tmp_path / "b.field")  # would give the damage new checksums
     assert not (tmp_path / "b.field").exists()
 
@@ -100,18 +101,15 @@ def test_inspect_verifies(tmp_path, capsys):
     path = saved_field(tmp_path)
     (path / "notes.txt").write_text("not of the field")
     manifest = json.loads((path / "field.json").read_text())
-    assert main(["inspect", str(path), "--verify", "--json"]) == 0
-    verified = json.loads(capsys.readouterr().out)["verified"]
+    verified = answer_of(capsys, "inspect", path, "--verify")["verified"]
     del manifest["crc32"]
     assert verified == sorted(["field.json", *manifest["files"]])
     old = tmp_path / "old.field"
     shutil.copytree(path, old)
     (old / "field.json").write_text(json.dumps({**manifest, "version": 2}))
-    assert main(["inspect", str(old), "--verify", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["verified"] == []  # it has no checksums
+    assert answer_of(capsys, "inspect", old, "--verify")["verified"] == []  # it has no checksums
     damage(path / "negatives.safetensors", "maxima")
-    assert main(["inspect", str(path), "--verify"]) == 1
-    assert "'maxima' is not what was written" in capsys.readouterr().err
+    assert "'maxima' is not what was written" in error_of(capsys, "inspect", path, "--verify")
 
 
 @pytest.mark.parametrize("given", [["--output", ""], ["--output="]])
@@ -138,7 +136,7 @@ def test_any_name_is_printed_on_any_terminal(name, encoding, tmp_path):
 )
 def test_vocabularies_whose_names_are_no_names_are_refused(text, reason, tmp_path):
     (tmp_path / "a.json").write_text(text)
-    with pytest.raises(FormatError, match=reason):
+    with malformed(reason):
         read_vocabulary(tmp_path / "a.json")
 
 
@@ -148,7 +146,7 @@ def test_vocabularies_of_other_numbers_are_refused(dtype, tmp_path):
     header = json.dumps({"__metadata__": {"texts": '["vase"]'}, "embeddings": entry}).encode()
     content = len(header).to_bytes(8, "little") + header + bytes(16)
     (tmp_path / "a.safetensors").write_bytes(content)
-    with pytest.raises(FormatError, match=f"dtype '{dtype}' is none of"):
+    with malformed(f"dtype '{dtype}' is none of"):
         read_vocabulary(tmp_path / "a.safetensors")
 
 
@@ -166,11 +164,11 @@ def test_a_field_of_this_version_without_checksums_is_refused(tmp_path):
     manifest = json.loads((path / "field.json").read_text())
     as_version_2(path)
     (path / "field.json").write_text(json.dumps(manifest))
-    with pytest.raises(FormatError, match="checksum of every tensor"):
+    with malformed("checksum of every tensor"):
         load_field(path).verify()
     manifest.pop("crc32")
     (path / "field.json").write_text(json.dumps(manifest))
-    with pytest.raises(FormatError, match="damaged or edited"):
+    with malformed("damaged or edited"):
         load_field(path)
 
 
@@ -181,7 +179,7 @@ def test_weights_that_are_no_weights_are_refused(value, tmp_path):
     arrays = {name: np.array(array) for name, array in tensors.items()}
     arrays["data"][7] = value
     write_tensors(path, arrays, metadata, overwrite=True)  # with the right checksums
-    with pytest.raises(FormatError, match="finite numbers of 0 or more"):
+    with malformed("finite numbers of 0 or more"):
         load_field(path.parent).verify()
 
 
@@ -191,7 +189,7 @@ def test_negatives_that_are_no_numbers_are_refused(tmp_path):
     arrays = {name: np.array(array) for name, array in tensors.items()}
     arrays["maxima"][0] = np.nan
     write_tensors(path, arrays, metadata, overwrite=True)
-    with pytest.raises(FormatError, match="finite"):
+    with malformed("finite"):
         load_field(path.parent)
 
 
@@ -257,12 +255,12 @@ def test_checksums_are_those_of_zlib(tmp_path):
 
 
 def test_files_are_on_the_disk_before_they_get_their_name(tmp_path, monkeypatch):
-    seen: list[str] = []
+    seen = []
     names = {"fsync": "fsync", "replace": "name", "rename": "name"}
     for name, kind in names.items():
         real = getattr(os, name)
 
-        def spy(*given: object, real: Callable[..., object] = real, kind: str = kind) -> object:
+        def spy(*given, real=real, kind=kind):
             seen.append(kind)
             return real(*given)
 

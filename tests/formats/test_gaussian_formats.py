@@ -83,7 +83,7 @@ def test_ply_of_any_order_type_and_encoding(seed, degree, order, doubles):
 def test_written_scene_reads_back(tmp_path_factory, seed, degree):
     rng = default_rng(seed)
     g = random_gaussians(rng, int(rng.integers(0, 5000)), degree)
-    g.opacities[: len(g) // 3] = rng.choice(np.array([0, 1, 1e-30, 1 - 2**-24], np.float32), len(g) // 3)
+    g.opacities[: len(g) // 3] = rng.choice(np.float32([0, 1, 1e-30, 1 - 2**-24]), len(g) // 3)
     path = tmp_path_factory.mktemp("scene") / "scene.ply"
     ids = np.arange(len(g), dtype=np.int32)
     write_gaussians(path, Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh, {"a": ids}), {"b": -ids})
@@ -98,7 +98,7 @@ def test_written_scene_reads_back(tmp_path_factory, seed, degree):
 
 def test_infinite_logits_of_supersplat_are_opacity_one_and_zero():
     columns = scene_files.ply_columns(random_gaussians(default_rng(0), 3))
-    columns["opacity"] = np.array([np.inf, -np.inf, 0], np.float32)
+    columns["opacity"] = np.float32([np.inf, -np.inf, 0])
     assert parsed(scene_files.ply_bytes(columns)).opacities.tolist() == [1, 0, 0.5]
 
 
@@ -106,7 +106,7 @@ def test_normals_are_kept_unless_all_zero():
     columns = scene_files.ply_columns(random_gaussians(default_rng(0), 3))
     columns |= {name: np.zeros(3, np.float32) for name in ("nx", "ny", "nz")}
     assert not parsed(scene_files.ply_bytes(columns)).extra
-    columns["nz"] = np.array([0, 0, 1], np.float32)
+    columns["nz"] = np.float32([0, 0, 1])
     assert set(parsed(scene_files.ply_bytes(columns)).extra) == {"nx", "ny", "nz"}
 
 
@@ -163,7 +163,7 @@ def test_quaternions_of_any_length_but_zero():
     g = random_gaussians(default_rng(6), 3)
     columns = scene_files.ply_columns(g)
     for i in range(4):
-        columns[f"rot_{i}"] = g.quats[:, i] * np.array([1e-30, 1e37, 0], np.float32)
+        columns[f"rot_{i}"] = g.quats[:, i] * np.float32([1e-30, 1e37, 0])
     with malformed(r"1 of 3 rows have rotations.* row 2"):
         parsed(scene_files.ply_bytes(columns))
     columns["rot_0"][2] = 1
@@ -188,7 +188,7 @@ def test_writing_refuses_what_it_must(tmp_path):
     path = tmp_path / "scene.ply"
     write_gaussians(path, g)
     before = path.read_bytes()
-    refusals: list[tuple[Path, dict[str, np.ndarray], str]] = [
+    refusals = [
         (path, {}, "overwrite=True"),
         (tmp_path / "scene.spz", {}, "suffix .ply"),
         (tmp_path / "no" / "scene.ply", {}, "no folder"),

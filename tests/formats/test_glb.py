@@ -73,7 +73,7 @@ def test_what_is_written_is_what_the_extension_says(degree, tmp_path):
 def test_points_have_the_colours_of_the_splats_in_linear_light(tmp_path):
     """A third of sRGB's range is 0.0908 of its light, by the curve of IEC 61966-2-1."""
     g = made(3, 0)
-    shown = np.array([[1 / 3, 0, 1], [2, -1, 0.02], [0.5, 0.5, 0.5]], np.float32)
+    shown = np.float32([[1 / 3, 0, 1], [2, -1, 0.02], [0.5, 0.5, 0.5]])
     g = replace(g, sh=((shown - 0.5) / 0.28209479)[:, None].astype(np.float32), opacities=np.float32([0, 0.5, 1]))
     colors = Read.of(written(tmp_path, LabelledScene(g))).attribute("COLOR_0")
     expected = [[23, 0, 255, 0], [255, 0, 0, 128], [55, 55, 55, 255]]
@@ -116,7 +116,7 @@ def test_names_and_numbers_of_objects_come_back(tmp_path):
 
 def test_embeddings_go_along_where_objects_have_some(tmp_path):
     scene = with_objects(made(), ("a", "b"))
-    vector = np.array([0.6, 0.8, 0], np.float32)
+    vector = np.float32([0.6, 0.8, 0])
     scene = replace(scene, things=(replace(scene.things[0], embedding=vector), scene.things[1]), encoder="clip")
     embeddings = Read.of(written(tmp_path, scene)).table(0)["embedding"]
     assert_array_equal(embeddings, [vector, np.zeros(3)])
@@ -418,7 +418,7 @@ def test_what_cannot_be_read_is_said(path, value, message):
 
 
 def test_a_degree_of_harmonics_is_whole_or_not_there():
-    def without(document: dict) -> None:
+    def without(document):
         del document["meshes"][0]["primitives"][0]["attributes"][f"{SPLATTING}:SH_DEGREE_2_COEF_1"]
 
     with malformed("15 coefficients of harmonics"):
@@ -444,7 +444,7 @@ def test_rows_that_are_no_gaussians_are_named():
 def test_bytes_that_are_named_many_times_over_do_not_unfold():
     """Three thousand primitives of the same hundred thousand rows, in a file of some hundred kilobytes."""
 
-    def many(document: dict) -> None:
+    def many(document):
         primitives = document["meshes"][0]["primitives"]
         primitives *= 3000
 

@@ -25,7 +25,7 @@ class Colours:
 
 
 @pytest.fixture
-def room(tmp_path: Path) -> Path:
+def room(tmp_path) -> Path:
     return write_toy_capture(tmp_path)
 
 

@@ -40,8 +40,14 @@ STILL = {"cam_from_world": np.eye(4).tolist()}
 
 
 @pytest.fixture
-def room(half_room: Path, tmp_path: Path) -> Path:
+def room(half_room, tmp_path) -> Path:
     return Path(shutil.copytree(half_room, tmp_path / "room"))
+
+
+@pytest.fixture
+def views(full_room) -> list[View]:
+    """Of the whole room; the first two are those of half of it."""
+    return read_views(full_room)
 
 
 def sent(view: View, **changes: Any) -> SentView:
@@ -63,14 +69,18 @@ def add(room: Path, load: Any = None, names: list[str] | None = None) -> Outcome
     return add_waiting(scene, load or ModelShelf(NAMES, load_encoder).models, names)
 
 
+def states(room: Path) -> list[str]:
+    return [view.state for view in LiveViews(room).every()]
+
+
 def as_png(image: Image.Image) -> bytes:
     buffer = io.BytesIO()
     image.save(buffer, "PNG")
     return buffer.getvalue()
 
 
-def test_views_that_come_one_by_one_or_together_are_one_registration(room, half_room, full_room):
-    one, other = read_views(full_room)[2:]
+def test_views_that_come_one_by_one_or_together_are_one_registration(room, half_room, full_room, views):
+    one, other = views[2:]
     assert [view.state for view in take(room, sent(one))] == ["waiting"]
     assert [view.name for view in add(room).added] == [one.name]
     take(room, sent(other))
@@ -84,8 +94,7 @@ def test_views_that_come_one_by_one_or_together_are_one_registration(room, half_
     assert load_field(room / "room.field").equals(registered(room, read_views(room), objects=True))
 
 
-def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room, full_room):
-    views = read_views(full_room)
+def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room, views):
     take(room, sent(views[2]))
     assert [view.name for view in read_views(room)] == [view.name for view in views[:2]]
     add(room)
@@ -98,26 +107,26 @@ def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room, full_ro
     assert [view.name for view in read_views(room)] == [views[2].name]
 
 
-def test_a_camera_file_that_has_the_photos_as_well_counts(room, full_room):
+def test_a_camera_file_that_has_the_photos_as_well_counts(room, full_room, views):
     """As after COLMAP has posed all photos anew."""
-    take(room, sent(read_views(full_room)[2]))
+    take(room, sent(views[2]))
     add(room)
     shutil.copy(full_room / "cameras.json", room)
     shutil.copytree(full_room / "images", room / "images", dirs_exist_ok=True)
     assert {view.image_path for view in read_views(room)} == {room / "images" / f"photo_{n}.png" for n in range(4)}
 
 
-def test_features_that_are_sent_are_taken_as_they_are(room, full_room):
-    view = read_views(full_room)[2]
+def test_features_that_are_sent_are_taken_as_they_are(room, full_room, views):
+    view = views[2]
     features = sent_features(full_room, room, view)
     take(room, sent(view, features=features))
 
-    def load(*_: object) -> PhotoModels:
+    def load(*_):
         raise AssertionError("no model is needed")
 
     add(room, load)
     field = load_field(room / "room.field")
-    both = registered(full_room, read_views(full_room)[:3], objects=True)
+    both = registered(full_room, views[:3], objects=True)
     assert field.equals(both)
 
 
@@ -129,8 +138,8 @@ def sent_features(full_room: Path, room: Path, view: View, rows: Any = None) -> 
     return path.read_bytes()
 
 
-def test_a_view_that_cannot_be_added_is_refused_and_the_others_are_added(room, full_room):
-    one, other = read_views(full_room)[2:]
+def test_a_view_that_cannot_be_added_is_refused_and_the_others_are_added(room, full_room, views):
+    one, other = views[2:]
     cut = sent(other).photo[:-400]
     take(room, sent(one), sent(other, photo=cut))
     outcome = add(room)
@@ -159,8 +168,8 @@ class Blind:
         return load_segmenter("graph").segment(image)
 
 
-def test_a_photo_without_a_mask_is_refused(room, full_room):
-    one, other = read_views(full_room)[2:]
+def test_a_photo_without_a_mask_is_refused(room, views):
+    one, other = views[2:]
     white = as_png(Image.new("RGB", (one.width, one.height), "white"))
     take(room, sent(one, photo=white), sent(other))
     with pytest.warns(match="no mask was found"):
@@ -170,18 +179,18 @@ def test_a_photo_without_a_mask_is_refused(room, full_room):
     assert [view.name for view in outcome.added] == [other.name]
 
 
-def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_others(room, full_room):
-    one, other = read_views(full_room)[2:]
+def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_others(room, views):
+    one, other = views[2:]
 
     class Failing(MiniEncoder):
-        def encode_images(self, images: Any) -> Any:
+        def encode_images(self, images):
             rows = super().encode_images(images)
             return rows * np.nan if self.fails(images) else rows
 
-        def on_one_thread(self) -> "Failing":
+        def on_one_thread(self):
             return self
 
-        def fails(self, images: Any) -> bool:
+        def fails(self, images):
             return bool(np.concatenate([image.reshape(-1, 3) for image in images])[:, 1].max() > 250)
 
     green = as_png(Image.fromarray(np.tile(np.uint8([[[0, 255, 0]], [[255, 0, 0]]]), (36, 96, 1))))
@@ -191,18 +200,18 @@ def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_oth
     assert [view.name for view in outcome.refused] == [one.name]
 
 
-def test_a_view_that_was_removed_from_the_field_stays_out(room, full_room):
+def test_a_view_that_was_removed_from_the_field_stays_out(room, views):
     scene, field = read_gaussians(room / "scene.ply"), load_field(room / "room.field")
     remove_views(field, scene, ["photo_1.png"]).field.save(room / "room.field", overwrite=True)
     cameras = json.loads((room / "cameras.json").read_text())
     (room / "cameras.json").write_text(json.dumps(cameras[:1]))
-    take(room, sent(read_views(full_room)[1]))
+    take(room, sent(views[1]))
     (refused,) = add(room).refused
     assert "stays out" in refused.reason
 
 
-def test_a_name_is_one_view(room, full_room):
-    view = read_views(full_room)[2]
+def test_a_name_is_one_view(room, views):
+    view = views[2]
     (first,) = take(room, sent(view))
     assert take(room, sent(view)) == [first]
     for other in (
@@ -221,8 +230,8 @@ def test_a_name_is_one_view(room, full_room):
     assert [one.name for one in read_views(room)] == ["front/photo_2.png", *(f"photo_{n}.png" for n in range(3))]
 
 
-def test_only_so_many_wait(room, full_room):
-    one, other = read_views(full_room)[2:]
+def test_only_so_many_wait(room, views):
+    one, other = views[2:]
     take(room, sent(one), most_waiting=1)
     with pytest.raises(FullError, match="1 views of this scene wait"):
         take(room, sent(other), most_waiting=1)
@@ -231,7 +240,7 @@ def test_only_so_many_wait(room, full_room):
     take(room, sent(other), most_waiting=1)
 
 
-WRONG: list[tuple[dict[str, Any], str]] = [
+WRONG = [
     ({"name": "../x.jpg"}, "expected a file name"),
     ({"name": "/x.jpg"}, "expected a file name"),
     ({"name": ".x.jpg"}, "expected the name of a photo"),
@@ -257,15 +266,15 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("changes", "said"), WRONG, ids=range(len(WRONG)))
-def test_what_cannot_be_a_view_is_refused_at_once(changes, said, room, full_room):
+def test_what_cannot_be_a_view_is_refused_at_once(changes, said, room, views):
     with pytest.raises(InputError, match=said) as error:
-        take(room, sent(read_views(full_room)[2], **changes), most_pixels=1_000_000)
+        take(room, sent(views[2], **changes), most_pixels=1_000_000)
     assert "/tmp" not in str(error.value)
     assert not (room / "live_views").exists()
 
 
-def test_features_of_another_photo_or_encoder_are_refused(room, full_room):
-    view = read_views(full_room)[2]
+def test_features_of_another_photo_or_encoder_are_refused(room, full_room, views):
+    view = views[2]
     ids, rows = read_features(full_room / FEATURES, encoder=MiniEncoder().identity).stored(view.name)
     for changed, said in ((rows[:, :8], "dimensions"), (rows * 0, "no direction"), (rows[:1], "mask")):
         path = room.parent / f"sent{COMPACT}"
@@ -280,12 +289,12 @@ def test_features_of_another_photo_or_encoder_are_refused(room, full_room):
         take(room, sent(view, features=path.read_bytes()))
 
 
-def test_forms_of_a_pose_are_one(room, full_room):
-    view = read_views(full_room)[2]
+def test_forms_of_a_pose_are_one(room, views):
+    view = views[2]
     matrix = view.cam_from_world
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
     opengl = np.linalg.inv(matrix) @ np.diag([1.0, -1, -1, 1])
-    forms: tuple[dict[str, Any], ...] = (
+    forms = (
         {"cam_from_world": matrix.tolist()},
         {"quaternion": [2 * w, 2 * x, 2 * y, 2 * z], "translation": matrix[:3, 3].tolist()},
         {"transform_matrix": opengl.tolist()},
@@ -305,18 +314,18 @@ def entry(pose: dict[str, Any], lens: dict[str, Any]) -> LiveView:
     return LiveView("a.jpg", pose, lens, None, False, "", 1.0)
 
 
-def test_a_scene_that_moves_needs_times(room, full_room):
+def test_a_scene_that_moves_needs_times(room, views):
     moving = replace(target(room), moves=True)
-    view = sent(read_views(full_room)[2])
+    view = sent(views[2])
     with pytest.raises(InputError, match="this scene moves: expected when"):
         take_view(moving, view, NAMES)
     take_view(moving, replace(view, time=2.0), NAMES)
     assert LiveViews(room).posed(LiveViews(room).every()[0]).time == 2.0
 
 
-def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room, full_room):
+def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room, full_room, views):
     scene = read_scene(full_room.parent / "frames")
-    views = [replace(view, time=float(number)) for number, view in enumerate(read_views(full_room))]
+    views = [replace(view, time=float(number)) for number, view in enumerate(views)]
     features = read_features(full_room / FEATURES, encoder=MiniEncoder().identity)
     register(scene, views[:2], features).to_field().save(room / "room.field", overwrite=True)
     at = Target(room, load_field(room / "room.field"), (), moves=True)
@@ -328,8 +337,8 @@ def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room, full_room)
     assert load_field(room / "room.field").equals(register(scene, views[:3], features).to_field())
 
 
-def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room, full_room):
-    view = read_views(full_room)[2]
+def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room, full_room, views):
+    view = views[2]
     record = room / FEATURES / "embedding.json"
     shutil.copytree(room / FEATURES, room / "kept")
     record.unlink()
@@ -343,14 +352,14 @@ def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room, full
     assert known.name == view.name
 
 
-def test_a_field_that_cannot_grow_takes_no_photo(room, full_room):
+def test_a_field_that_cannot_grow_takes_no_photo(room, views):
     at = target(room)
     old = replace(at, field=replace(at.field, growth=None))
     with pytest.raises(InputError, match="does not say how it was made"):
-        take_view(old, sent(read_views(full_room)[2]), NAMES)
+        take_view(old, sent(views[2]), NAMES)
 
 
-def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room, full_room):
+def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room, views):
     from drsplat.errors import MismatchError
 
     record = room / FEATURES / "embedding.json"
@@ -358,18 +367,18 @@ def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room, 
     document["settings"]["max_height"] = 500
     document["settings"]["algorithm"] = "0"
     record.write_text(json.dumps(sealed(document), indent=1))
-    take(room, sent(read_views(full_room)[2]))
+    take(room, sent(views[2]))
     with pytest.raises(MismatchError, match=r"otherwise \(algorithm\)"):
         add(room)
-    assert [view.state for view in LiveViews(room).every()] == ["waiting"]
+    assert states(room) == ["waiting"]
 
 
-def test_another_writer_makes_views_wait(room, full_room):
-    take(room, sent(read_views(full_room)[2]))
+def test_another_writer_makes_views_wait(room, views):
+    take(room, sent(views[2]))
     for place in (room / "room.field",):
         with claimed_output(place), pytest.raises(ClaimedError, match="is being written by"):
             add(room)
-        assert [view.state for view in LiveViews(room).every()] == ["waiting"]
+        assert states(room) == ["waiting"]
     assert len(add(room).added) == 1
 
 
@@ -390,12 +399,12 @@ def killed_anywhere(monkeypatch: pytest.MonkeyPatch, work: Any, renew: Any, step
 
 
 @pytest.mark.slow
-def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(half_room, full_room, tmp_path, monkeypatch):
-    view = read_views(full_room)[2]
+def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(half_room, full_room, tmp_path, monkeypatch, views):
+    view = views[2]
     room, body, features = tmp_path / "room", sent(view), sent_features(full_room, tmp_path / "x", view)
     body = replace(body, features=features)
 
-    def renew() -> None:
+    def renew():
         shutil.rmtree(room, ignore_errors=True)
         shutil.copytree(half_room, room)
 
@@ -416,11 +425,11 @@ def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(half_room, f
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of a journal that was left open
-def test_a_kill_while_views_are_added_loses_none(half_room, full_room, tmp_path, monkeypatch):
+def test_a_kill_while_views_are_added_loses_none(half_room, full_room, tmp_path, monkeypatch, views):
     room, waiting = tmp_path / "room", Path(shutil.copytree(half_room, tmp_path / "waiting"))
-    take(waiting, *map(sent, read_views(full_room)[2:]))
+    take(waiting, *map(sent, views[2:]))
 
-    def renew() -> None:
+    def renew():
         shutil.rmtree(room, ignore_errors=True)
         shutil.copytree(waiting, room)
 
@@ -432,15 +441,15 @@ def test_a_kill_while_views_are_added_loses_none(half_room, full_room, tmp_path,
         load_field(room / "room.field").verify()
         add(room)
         assert files_of(room / "room.field") == files_of(full_room / "room.field"), step
-        assert [view.state for view in LiveViews(room).every()] == ["added", "added"]
+        assert states(room) == ["added", "added"]
         assert not (room / "room.field.parts").exists()
     assert count > 15
 
 
 @pytest.mark.parametrize("num_bytes", [10, 600])
-def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes, room, full_room):
+def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes, room, views):
     """There is room for neither, or for the photo and not for what is said of it."""
-    view = sent(read_views(full_room)[2], photo=as_png(Image.new("1", (96, 72))))
+    view = sent(views[2], photo=as_png(Image.new("1", (96, 72))))
     at = target(room)
     assert len(view.photo) < 600
     with files_of_at_most(num_bytes), pytest.raises(NoRoom, match="there is no room left"):
@@ -451,19 +460,19 @@ def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes, room, full_room):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("num_bytes", [1000, 30_000])
-def test_a_full_disk_while_views_are_added_loses_none(num_bytes, room, full_room):
+def test_a_full_disk_while_views_are_added_loses_none(num_bytes, room, full_room, views):
     before = files_of(room / "room.field")
-    take(room, *map(sent, read_views(full_room)[2:]))
+    take(room, *map(sent, views[2:]))
     with files_of_at_most(num_bytes), pytest.raises(NoRoom, match="there is no room left"):
         add(room)
     assert files_of(room / "room.field") == before
-    assert [view.state for view in LiveViews(room).every()] == ["waiting", "waiting"]
+    assert states(room) == ["waiting", "waiting"]
     add(room)
     assert files_of(room / "room.field") == files_of(full_room / "room.field")
 
 
-def test_a_view_is_refused_from_outside_only_while_it_waits(room, full_room):
-    one, other = read_views(full_room)[2:]
+def test_a_view_is_refused_from_outside_only_while_it_waits(room, views):
+    one, other = views[2:]
     take(room, sent(one), sent(other))
     refuse_view(room, one.name, "it ends the process")
     refuse_view(room, "nobody.png", "there is none")
@@ -474,8 +483,8 @@ def test_a_view_is_refused_from_outside_only_while_it_waits(room, full_room):
     ]  # fmt: skip
 
 
-def test_damaged_entries_are_told(room, full_room):
-    take(room, sent(read_views(full_room)[2]))
+def test_damaged_entries_are_told(room, views):
+    take(room, sent(views[2]))
     add(room)
     path = room / "live_views/added/photo_2.json"
     text = path.read_bytes()

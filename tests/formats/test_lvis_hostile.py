@@ -72,7 +72,7 @@ def test_counts_are_not_believed(bounded_memory, counts):  # noqa: F811
 def test_images_without_end_take_no_memory(bounded_memory):  # noqa: F811
     """Runs that do not add up are refused before the image is allocated."""
     with malformed("add up to 3 pixels"):
-        decode_runs(np.array([1, 2], np.int64), 60_000, 60_000, "here")
+        decode_runs(np.int64([1, 2]), 60_000, 60_000, "here")
 
 
 def test_polygons_of_many_corners_take_little_memory(bounded_memory):  # noqa: F811

@@ -71,7 +71,7 @@ def moving() -> Moving:
 def test_motion_is_on_a_timeline_with_tracks_of_objects(tmp_path):
     pytest.importorskip("rerun")
     thing = Thing("mug", 0.5, np.array([5.0, 0, 0]), np.eye(3), np.ones(3))
-    owners, motion = np.array([0, 0, -1, 0], np.int32), moving()
+    owners, motion = np.int32([0, 0, -1, 0]), moving()
     scene = LabelledScene(motion.canonical, things=(thing,), object_of=owners, motion=motion)
     write_rrd(tmp_path / "out.rrd", scene)
     printed(tmp_path / "out.rrd", "verify")

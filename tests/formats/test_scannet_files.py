@@ -1,14 +1,13 @@
 """ScanNet's files and label sets: what they say, and damage."""
 
 import json
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from drsplat.errors import DrSplatError, FormatError, InputError, MismatchError
+from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation.scannet import BUILT_IN, LabelSet, label_set
 from drsplat.formats.scannet import (
     check_vertices,
@@ -18,7 +17,7 @@ from drsplat.formats.scannet import (
     read_scannet_labels,
     scene_file,
 )
-from mutations import bounded_allocations, mutants, quota
+from mutations import quota, seeded, survivors
 from refusing import malformed, refused
 
 MUTANTS = quota(3_000)
@@ -47,7 +46,7 @@ def ply_bytes(with_faces: bool = True) -> bytes:
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Path:
+def scene(tmp_path) -> Path:
     folder = tmp_path / "scene0000_00"
     folder.mkdir()
     stem = folder / "scene0000_00"
@@ -157,36 +156,17 @@ def test_wrong_tables_are_named(text, message, tmp_path):
         read_label_table(path)
 
 
-@pytest.fixture
-def bounded_memory() -> Iterator[None]:
-    with bounded_allocations(48 << 20):
-        yield
-
-
-def survivors(path: Path, read: Callable[[Path], object]) -> int:
-    good, survived = path.read_bytes(), 0
-    read(path)
-    for mutant in mutants(good, np.random.default_rng(len(path.name)), MUTANTS):
-        path.write_bytes(mutant)
-        try:
-            read(path)
-            survived += 1
-        except DrSplatError:
-            pass
-    return survived
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::drsplat.errors.DrSplatWarning")
 def test_damaged_files(scene, bounded_memory):
     segments, groups = (scene_file(scene, end) for end in (".segs.json", ".aggregation.json"))
-    ply = scene_file(scene, "_vh_clean_2.labels.ply")
-    assert 0 < survivors(ply, read_scannet_labels) < MUTANTS
-    assert 0 < survivors(scene / "scannetv2-labels.combined.tsv", read_label_table) < MUTANTS
-    good = groups.read_bytes()
-    assert 0 < survivors(groups, lambda path: read_scannet_instances(segments, path)) < MUTANTS
-    groups.write_bytes(good)
-    assert 0 < survivors(segments, lambda path: read_scannet_instances(path, groups)) < MUTANTS
+    for path, read in (
+        (scene_file(scene, "_vh_clean_2.labels.ply"), read_scannet_labels),
+        (scene / "scannetv2-labels.combined.tsv", read_label_table),
+        (groups, lambda path: read_scannet_instances(segments, path)),
+        (segments, lambda path: read_scannet_instances(path, groups)),
+    ):
+        assert 0 < survivors(path, read, seeded(len(path.name)), MUTANTS) < MUTANTS
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

@@ -71,7 +71,7 @@ def one(tree: object) -> dict[str, object]:
     return {"tree": tree}
 
 
-DEEP: dict[str, object] = {"bound": BOX}
+DEEP = {"bound": BOX}
 for _ in range(70):
     DEEP = {"bound": BOX, "children": [DEEP]}
 

@@ -40,8 +40,7 @@ def labelled(count: int = COUNT, degree: int = 1) -> LabelledScene:
 
 
 def document_of(folder: Path) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads((folder / "tileset.json").read_text())
-    return document
+    return json.loads((folder / "tileset.json").read_text())
 
 
 def tiles_of(tile: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -160,11 +159,11 @@ def test_a_folder_of_tiles_is_written_tile_by_tile(tmp_path):
 
 
 def test_tiles_wait_on_disk(tmp_path, monkeypatch):
-    alive: weakref.WeakSet[Gaussians] = weakref.WeakSet()
+    alive = weakref.WeakSet()
     numbers = []
     written = tiles3d_writing._Writer._written
 
-    def counted(self: Any, gaussians: Gaussians, *rest: Any) -> Any:
+    def counted(self, gaussians, *rest):
         alive.add(gaussians)
         numbers.append(len(alive))
         return written(self, gaussians, *rest)

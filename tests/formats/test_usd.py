@@ -23,6 +23,7 @@ from drsplat.formats.usd_writing import prim_name
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import Annotation, LabelledScene, Thing
 from mutations import bounded_allocations, mutants, quota, seeded
+from refusing import malformed
 from scene_files import ply_bytes, ply_columns, random_gaussians
 
 TURNED = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
@@ -39,7 +40,7 @@ def labelled(count: int = 40, names: tuple[str, ...] = NAMES) -> LabelledScene:
     """Make a scene with everything that a file can carry, none of it at zero or upright."""
     rng = default_rng(0)
     gaussians = replace(random_gaussians(rng, count), origin=np.array([5e5, 4e6, 100.25]))
-    unit = np.array([0.6, 0.8], np.float32)
+    unit = np.float32([0.6, 0.8])
     things = tuple(
         Thing(
             name, number / 100, np.array([number, 1 / 3, -2.0]), TURNED, np.array([1.0, 2.0, 0.1]), number % 2 - 1, unit
@@ -158,8 +159,8 @@ def test_the_extent_holds_three_standard_deviations(tmp_path):
 
     half = np.float32(np.sqrt(0.5))
     one = Gaussians(
-        np.array([[1, 2, 3]], np.float32), np.array([[half, 0, 0, half]], np.float32),
-        np.array([[2, 1, 0.5]], np.float32), np.ones(1, np.float32), np.zeros((1, 1, 3), np.float32),
+        np.float32([[1, 2, 3]]), np.float32([[half, 0, 0, half]]),
+        np.float32([[2, 1, 0.5]]), np.ones(1, np.float32), np.zeros((1, 1, 3), np.float32),
     )  # fmt: skip
     write_scene(tmp_path / "out.usda", LabelledScene(one))
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
@@ -305,7 +306,7 @@ def test_several_splats_are_one_scene_unless_they_are_moved(tmp_path):
     assert len(read_gaussians(tmp_path / "in.usda")) == 4
     moved = both.replace("{", '{ uniform token[] xformOpOrder = ["xformOp:translate"]', 1)
     (tmp_path / "in.usda").write_text("#usda 1.0\n" + moved)
-    with pytest.raises(FormatError, match="2 splats, and prims that are moved"):
+    with malformed("2 splats, and prims that are moved"):
         read_gaussians(tmp_path / "in.usda")
 
 
@@ -334,14 +335,14 @@ def test_several_splats_are_one_scene_unless_they_are_moved(tmp_path):
 )
 def test_damage_is_named(change, message, tmp_path):
     (tmp_path / "in.usda").write_text("#usda 1.0\n" + SPLAT.replace(*change))
-    with pytest.raises(FormatError, match=message):
+    with malformed(message):
         read_gaussians(tmp_path / "in.usda")
 
 
 def test_a_splat_that_moves_is_named(tmp_path):
     moving = SPLAT.replace("positions = [(1, 2, 3), (4, 5, 6),]", "positions.timeSamples = { 0: [(1, 2, 3)] }")
     (tmp_path / "in.usda").write_text("#usda 1.0\n" + moving)
-    with pytest.raises(FormatError, match="positions move with time"):
+    with malformed("positions move with time"):
         read_gaussians(tmp_path / "in.usda")
 
 

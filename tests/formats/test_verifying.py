@@ -116,7 +116,7 @@ def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(write, tmp_path):
 def test_a_film_with_a_flipped_bit_never_shows_other_frames(tmp_path):
     path, rng = write_motion(tmp_path), default_rng(3)
 
-    def frames() -> list[bytes]:
+    def frames():
         moving = read_moving(path)
         shown = [moving.at(time) for time in moving.times.tolist()]
         return [array.tobytes() for g in shown for array in (g.means, g.quats, g.scales, g.opacities, g.sh)]

@@ -35,7 +35,7 @@ NAMES = ["a photo.png", "b.png", "cam0/c.png"]
 
 
 @pytest.fixture
-def capture(tmp_path: Path) -> Path:
+def capture(tmp_path) -> Path:
     """A COLMAP binary model with all its photos."""
     write_colmap_binary(tmp_path / "sparse/0")
     write_photos(tmp_path / "images")

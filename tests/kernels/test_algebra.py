@@ -50,15 +50,15 @@ def test_long_rows_keep_their_precision(isa):
 def test_tiny_and_huge_weights_are_normalised_alike():
     embeddings = unit_rows(default_rng(1), 2, 48)
     csr = np.array([0, 2, 4, 6]), np.array([0, 1] * 3, np.int32)
-    weights = np.array([3, 1, 3e-25, 1e-25, 3e25, 1e25], np.float32)
+    weights = np.float32([3, 1, 3e-25, 1e-25, 3e25, 1e25])
     rows = weighted_rows(*csr, weights, embeddings, 0, 3)
     assert_allclose(np.linalg.norm(rows, axis=1), 1, rtol=1e-6)
     assert_allclose(rows[1:], rows[[0, 0]], atol=1e-6)
 
 
 def test_rows_that_cancel_or_are_empty_stay_zero():
-    embeddings = np.array([[1, 0], [-1, 0]], np.float32)
-    csr = np.array([0, 2, 2, 3]), np.array([0, 1, 1], np.int32), np.array([2, 2, 0], np.float32)
+    embeddings = np.float32([[1, 0], [-1, 0]])
+    csr = np.array([0, 2, 2, 3]), np.int32([0, 1, 1]), np.float32([2, 2, 0])
     assert_array_equal(weighted_rows(*csr, embeddings, 0, 3), np.zeros((3, 2)))
 
 
@@ -136,7 +136,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa):
     w, embeddings = random_weights(rng, 900, 200, 0.05), unit_rows(rng, 200, 96)
     centroids = rng.standard_normal((24, 256, 4)).astype(np.float32) / 10
 
-    def everything(threads: int) -> list[np.ndarray]:
+    def everything(threads):
         rows = weighted_rows(w.indptr, w.indices, w.data, embeddings, 0, 900, threads=threads, isa=isa)
         return [rows, pq_encode(rows, centroids, threads=threads, isa=isa)]
 
@@ -159,7 +159,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa):
     ],
 )
 def test_damaged_weights_are_refused(indptr, column, rows):
-    columns, data = np.array([0, column], np.int32), np.ones(2, np.float32)
+    columns, data = np.int32([0, column]), np.ones(2, np.float32)
     with pytest.raises(InputError):
         weighted_rows(np.array(indptr), columns, data, np.ones((5, 8), np.float32), *rows)
 
@@ -215,8 +215,8 @@ def test_arguments_that_do_not_fit_are_refused():
 def test_columns_are_numbered_anew_taken_out_and_put_in(threads):
     rng = default_rng(threads)
     old, more = random_weights(rng, 9000, 20, 0.2), random_weights(rng, 9000, 6, 0.1)
-    numbers = np.array([-1, 0, 1, 3, 5, -1, *range(7, 20), 23], np.int32)  # 2, 4, 6 and 20 to 22 are new
-    new = np.array([2, 4, 6, 20, 21, 22], np.int32)
+    numbers = np.int32([-1, 0, 1, 3, 5, -1, *range(7, 20), 23])  # 2, 4, 6 and 20 to 22 are new
+    new = np.int32([2, 4, 6, 20, 21, 22])
     given = (more.indptr, new[more.indices], more.data)
     starts, columns, values = changed_columns((old.indptr, old.indices, old.data), numbers, given, threads=threads)
     expected = np.zeros((9000, 24), np.float32)

@@ -29,7 +29,7 @@ HOPPER, ADA = 227 << 10, 99 << 10  # shared memory of a block
     params=[HOPPER, ADA, pytest.param(None, marks=pytest.mark.gpu)],
     ids=["all sub-vectors at once", "64 at once", "a GPU"],
 )
-def engine(request: pytest.FixtureRequest) -> Engine:
+def engine(request) -> Engine:
     if request.param is not None:
         return CpuEngine(compiled(), request.param)
     reason = unavailable()
@@ -75,7 +75,7 @@ def test_answers_are_those_of_the_scores_and_scores_those_of_the_twin(engine, su
 
 
 def test_more_rows_than_blocks_score_at_once(engine):
-    check_everything(engine, *drawn(1, 5000, 128, 1, coarse=3))
+    check_everything(engine, *drawn(1, 1100, 128, 1, coarse=3))
 
 
 @pytest.mark.slow
@@ -192,7 +192,7 @@ def test_a_code_on_a_gpu_answers_as_on_the_cpu(engine, toy_code):
 
 
 def test_rows_are_sent_once_and_at_the_first_search(engine, toy_code, monkeypatch):
-    sent: list[GroupedRows] = []
+    sent = []
     send = scanning.sent_rows
     monkeypatch.setattr(scanning, "sent_rows", lambda engine, rows: sent.append(rows) or send(engine, rows))
     on_gpu = device_code.on_engine(toy_code, engine)

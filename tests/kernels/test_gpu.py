@@ -5,7 +5,6 @@ Skipped with a reason on a machine without one.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -243,7 +242,7 @@ def test_masks_are_those_of_the_cpu(torch, tmp_path, kind):
 
     from drsplat.photos.models import sam
 
-    folder: Path = saved(tmp_path / kind, transformers, kind)
+    folder = saved(tmp_path / kind, transformers, kind)
     here, there = (sam.load_segmenter(str(folder), device, LOOSE).segment(IMAGE) for device in ("cpu", "cuda"))
     assert len(here["default"]) >= 20
     for level, masks in here.items():

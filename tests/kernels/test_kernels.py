@@ -145,7 +145,7 @@ def test_threads_change_no_bit(isa):
     scene, values = "inside", default_rng(0).normal(size=(3000, 5)).astype(np.float32)
     arrays, view, mask_ids = arrays_of(scene), view_of(scene), segments_of(scene)
 
-    def everything(threads: int) -> list[np.ndarray]:
+    def everything(threads):
         return [
             *view_weights(arrays, view, mask_ids, 20, threads=threads, isa=isa),
             *topk_contributions(arrays, view, 7, threads=threads, isa=isa),
@@ -216,7 +216,7 @@ def test_nothing_in_front_of_the_camera(n):
     nobody = topk_contributions(arrays, view, 3)
     assert (nobody.ids == -1).all()
     assert (nobody.weights == 0).all()
-    background = np.array([0.25, 0.5], np.float32)
+    background = np.float32([0.25, 0.5])
     image = render_channels(arrays, view, np.ones((n, 2), np.float32), background)
     assert_array_equal(image.channels, np.broadcast_to(background, (20, 40, 2)))
     assert_array_equal(image.alpha, 0)
@@ -266,7 +266,7 @@ def test_the_most_of_a_pixel_are_the_head_of_all(scene, isa):
         arrays, view = arrays_of(scene), view_of(scene)
     else:  # the i-th of 30 planes takes 1 / (31 - i) of what is left: nearly all weights are equal, many to the bit
         means = np.stack([np.zeros(30), np.zeros(30), np.arange(2, 32)]).astype(np.float32)
-        covariances = np.tile(np.array([[1e5], [0], [0], [1e5], [0], [1]], np.float32), 30)
+        covariances = np.tile(np.float32([[1e5], [0], [0], [1e5], [0], [1]]), 30)
         arrays = SplatArrays(means, covariances, (1 / (31 - np.arange(30))).astype(np.float32))
         view = View("v", np.array([[20.0, 0, 16], [0, 20.0, 8], [0, 0, 1]]), np.eye(4), 32, 16)
     every = topk_contributions(arrays, view, 300, isa=isa)
@@ -306,7 +306,7 @@ def test_contributions_sum_to_the_weights(first_hits):
     arrays, view, mask_ids = arrays_of("inside"), view_of("inside"), segments_of("inside")
     per_pixel = topk_contributions(arrays, view, 20, first_hits=first_hits)
     owned = (per_pixel.ids >= 0) & (mask_ids >= 0)[..., None]
-    sums: dict[tuple[int, int], float] = {}
+    sums = {}
     owners = np.broadcast_to(mask_ids[..., None], owned.shape)[owned]
     for gaussian, mask, weight in zip(
         per_pixel.ids[owned].tolist(), owners.tolist(), per_pixel.weights[owned].tolist(), strict=True
@@ -320,8 +320,8 @@ def test_contributions_sum_to_the_weights(first_hits):
 @every_isa
 def test_equal_depths_go_by_content(isa):
     """By the bits of x, y, z, covariance and opacity, then by row: the last two rows are one Gaussian twice."""
-    means = np.array([[0, 0, 4], [1e-3, 0, 2], [0, 1e-3, 2], [0, 0, 2], [0, 0, 2], [0, 0, 2]], np.float32)
-    covariances = np.tile(np.array([1e3, 0, 0, 1e3, 0, 1e3], np.float32), (6, 1))
+    means = np.float32([[0, 0, 4], [1e-3, 0, 2], [0, 1e-3, 2], [0, 0, 2], [0, 0, 2], [0, 0, 2]])
+    covariances = np.tile(np.float32([1e3, 0, 0, 1e3, 0, 1e3]), (6, 1))
     covariances[3, 5] = 2e3
     arrays = SplatArrays(means.T.copy(), covariances.T.copy(), np.full(6, 0.5, np.float32))
     intrinsics = np.array([[8.0, 0, 0.5], [0, 8.0, 0.5], [0, 0, 1]])

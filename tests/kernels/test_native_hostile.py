@@ -29,7 +29,7 @@ def in_own_process(code: str, seconds: float = 60) -> str:
 
 
 def test_rogue_calls_are_answered_or_refused():
-    refused: dict[str, list[bool]] = {}
+    refused = {}
     for family, was_refused in map(refused_or_answered, range(CALLS)):
         refused.setdefault(family, []).append(was_refused)
     rates = {family: np.mean(ends) for family, ends in refused.items()}

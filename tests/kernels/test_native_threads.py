@@ -112,7 +112,7 @@ def test_python_threads_at_once_change_no_bit():
     every = calls()
     expected = [[np.array(part) for part in call()] for call in every]
 
-    def work(seed: int) -> None:
+    def work(seed):
         order = default_rng(seed)
         for place in np.concatenate([order.permutation(len(every)) for _ in range(ROUNDS)]):
             for part, wanted in zip(every[place](), expected[place], strict=True):
@@ -128,7 +128,7 @@ def test_one_pass_that_threads_share_is_gone_through_once():
     view = _native.training_pass(*arrays, False, SEEN, WIDTH, HEIGHT, 4, np.zeros(3, "f"), INSIDE, "")
     image = np.ones((HEIGHT, WIDTH, 3), np.float32)
 
-    def step(place: int) -> bool:
+    def step(place):
         try:
             (view.forward if place % 2 else lambda: view.backward(image, image))()
         except ValueError:

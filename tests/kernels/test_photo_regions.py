@@ -192,7 +192,7 @@ def test_sums_are_the_twins(seed, height, width):
 def plain_graph(labels: np.ndarray, lab: np.ndarray, sight: Sight) -> dict[tuple[int, int], list[float]]:
     """Borders pixel by pixel: length, colour steps, what the network says, steps of traits."""
     height, width = labels.shape
-    found: dict[tuple[int, int], list[float]] = {}
+    found = {}
     for y, x in np.ndindex(height, width):
         for dy, dx in ((0, 1), (1, 0)):
             if y + dy >= height or x + dx >= width or labels[y, x] == labels[y + dy, x + dx]:

@@ -88,7 +88,7 @@ def test_splats_are_dimmed_by_their_widths_and_less_the_larger_they_are(seed, fa
     rng = default_rng(seed)
     axes = rng.normal(size=(2, 2)) * 10 ** rng.uniform(-2, 2)
 
-    def dimmed(axes: np.ndarray) -> float:
+    def dimmed(axes):
         sharp = (axes @ axes.T)[[0, 0, 1], [0, 1, 1]][None]
         return float(dimming(sharp, sharp + BLUR * np.array([1, 0, 1]))[0])
 
@@ -279,7 +279,7 @@ def test_ties_keep_the_nearer():
     assert_array_equal(reference.on_boundary(seen, 1), [[False, True]])
     assert_array_equal(reference.on_boundary(seen, 2), [[True, False]])
     assert_array_equal(reference.on_boundary(seen, None), [[False, False]])
-    triples = reference.mask_sums(seen, np.array([[5, 5]], np.int32))
+    triples = reference.mask_sums(seen, np.int32([[5, 5]]))
     assert_array_equal(triples.gaussian_ids, [1, 2, 4, 7, 9])
 
 
@@ -308,7 +308,7 @@ def test_masks_split_the_weights():
     ],
 )
 def test_discontinuities_are_marked(opacity, depths, why):
-    def unsure(opacity: float, depths: list[float]) -> bool:
+    def unsure(opacity, depths):
         arrays = arrays_of([[0, 0, depth] for depth in depths], [opacity] * len(depths))
         return bool(reference.contributors(arrays, on_axis_view()).unsure[AXIS_PIXEL])
 

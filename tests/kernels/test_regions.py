@@ -49,8 +49,8 @@ def test_two_things_in_two_views_are_two_regions():
     """Closed form: a's rows are in mask 0 of each view and b's in mask 1; c = 1 / (1 + soft)."""
     dense = np.zeros((6, 4), np.float32)
     dense[:3, [0, 2]] = dense[3:, [1, 3]] = 1
-    forest = agglomerate(csr_array(dense), np.array([0, 0, 1, 1], np.int32), np.eye(4, dtype=np.float32)[:, :2] * 0
-                         + np.array([[1, 0], [0, 1], [1, 0], [0, 1]], np.float32), line(6), THRESHOLDS,
+    forest = agglomerate(csr_array(dense), np.int32([0, 0, 1, 1]), np.eye(4, dtype=np.float32)[:, :2] * 0
+                         + np.float32([[1, 0], [0, 1], [1, 0], [0, 1]]), line(6), THRESHOLDS,
                          MergeRule(soft=1.0, far=1.0, smallest=3, unlike=0.0))  # fmt: skip
     roots = forest.parents < 0
     # The pull towards `prior` lets the two meet at the end: 2 c^2 * 0 + .15 over about 2 + .3 is below all thresholds.
@@ -69,16 +69,16 @@ def a_link() -> tuple[csr_array, np.ndarray, np.ndarray]:
         dense[:3, 2 * view] = dense[4:, 2 * view + 1] = 10
     dense[:3, 6] = dense[4:, 6] = 0.02
     dense[3, 6] = 2.0
-    return csr_array(dense), np.array([0, 0, 1, 1, 2, 2, 3], np.int32), np.tile(np.eye(2, dtype=np.float32)[:1], (7, 1))
+    return csr_array(dense), np.int32([0, 0, 1, 1, 2, 2, 3]), np.tile(np.eye(2, dtype=np.float32)[:1], (7, 1))
 
 
 @pytest.mark.parametrize("implementation", [agglomerate, twin.agglomerate])
 def test_what_is_like_two_things_does_not_link_them(implementation):
     """The row between is the best neighbour of both, which agree by nearly 0: each goes its way from then on."""
-    edges = np.array([[a, b] for a in range(7) for b in range(a + 1, 7) if not (a < 3 and b > 3)], np.int32)
+    edges = np.int32([[a, b] for a in range(7) for b in range(a + 1, 7) if not (a < 3 and b > 3)])
     rule = MergeRule(soft=0.1, far=1.0, smallest=3, tolerance=1.0)
 
-    def apart(rule: MergeRule) -> bool:
+    def apart(rule):
         parents = implementation(*a_link(), edges, (0.45,), rule).parents
         return bool(parents[0] != parents[6])
 
@@ -140,9 +140,9 @@ def test_nothing_to_merge():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (dict(edges=np.array([[1, 0]], np.int32)), "a < b"),
-        (dict(edges=np.array([[0, 40]], np.int32)), "a < b < rows"),
-        (dict(edges=np.array([[-1, 3]], np.int32)), "a < b"),
+        (dict(edges=np.int32([[1, 0]])), "a < b"),
+        (dict(edges=np.int32([[0, 40]])), "a < b < rows"),
+        (dict(edges=np.int32([[-1, 3]])), "a < b"),
         (dict(views=np.arange(20, dtype=np.int32)[::-1].copy()), "order of their views"),
         (dict(views=np.zeros(3, np.int32)), "one view and embedding per mask"),
         (dict(embeddings=np.zeros((3, 6), np.float32)), "one view and embedding per mask"),

@@ -1,7 +1,5 @@
 """The scan kernels: closed forms, the float64 twin, every instruction set, any shape, any thread."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -194,7 +192,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa):
     one = QueryTables(tables.luts[:1], tables.coarse[:1] if tables.coarse is not None else None)
     floor = np.linspace(-0.5, 0.5, 70_001).astype(np.float32)
 
-    def everything(threads: int) -> list[np.ndarray]:
+    def everything(threads):
         how = Scanning(threads=threads, isa=isa)
         rough = HYBRID._replace(threads=threads, isa=isa)
         return [
@@ -208,17 +206,6 @@ def test_any_number_of_threads_gives_the_same_bits(isa):
     for threads in (2, 3, 7):
         for a, b in zip(first, everything(threads), strict=True):
             assert_array_equal(a, b)
-
-
-@every_isa
-def test_several_python_threads_at_once(isa):
-    asked = [drawn(seed, 3000, 16, 3) for seed in range(8)]
-    alone = [scan_scores(*each, Scanning(isa=isa)) for each in asked]
-    with ThreadPoolExecutor(8) as pool:
-        for _ in range(3):
-            together = pool.map(lambda each: scan_scores(*each, Scanning(threads=2, isa=isa)), asked)
-            for a, b in zip(alone, together, strict=True):
-                assert_array_equal(a, b)
 
 
 @every_isa
@@ -269,7 +256,7 @@ def test_tables_are_inner_products(isa, subvectors, dim):
 def test_what_does_not_fit_is_refused():
     rows, tables = drawn(10, 300, 4, 2, coarse=3)
     ids, coarse = rows.coarse_ids, tables.coarse
-    bad: list[tuple[GroupedRows, QueryTables, str]] = [
+    bad = [
         (rows._replace(codes=rows.codes[:1]), tables, r"expected codes \(2, L, 256\)"),
         (rows._replace(codes=rows.codes[:, :0]), tables, "expected codes"),
         (rows, tables._replace(luts=tables.luts[:, :3]), "expected tables"),

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from command_line import answer_of
 from drsplat.cli import main
 from drsplat.errors import MissingExtraError
 from drsplat.formats.captures import read_sparse_points, read_views
@@ -44,14 +45,14 @@ def views() -> list[View]:
 
 
 @pytest.fixture(scope="module")
-def good_photos(views: list[View], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def good_photos(views, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("good") / "photos"
     write_room(folder, views)
     return folder
 
 
 @pytest.fixture(scope="module")
-def mixed_photos(views: list[View], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mixed_photos(views, tmp_path_factory) -> Path:
     """The room, and beside it what else a folder may hold."""
     folder = tmp_path_factory.mktemp("mixed") / "photos"
     named = [replace(view, name=f"room/Über {k} .jpg") for k, view in enumerate(views)]
@@ -86,7 +87,7 @@ def _write_transparent(path: Path, source: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def mixed(mixed_photos: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def mixed(mixed_photos, tmp_path_factory) -> tuple[Path, dict[str, Any]]:
     output = tmp_path_factory.mktemp("mixed_capture") / "capture"
     return output, capture(mixed_photos, output, threads=2)
 
@@ -125,8 +126,7 @@ def test_the_room_is_posed(mixed, views):
 
 @has_colmap
 def test_inspect_and_train_take_the_capture(mixed, tmp_path, capsys):
-    assert main(["inspect", str(mixed[0]), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["num_photos"] == NUM_GOOD
+    assert answer_of(capsys, "inspect", mixed[0])["num_photos"] == NUM_GOOD
     line = ["train", str(mixed[0]), "-o", str(tmp_path / "model"), "--iterations", "2", "--resolution", "64", "--json"]
     assert main([*line, "--max-gaussians", "100000"]) == 0  # the budget of such small photos is less than the points
     assert json.loads(capsys.readouterr().out)["start"]["given"] == mixed[1]["num_points"]
@@ -206,7 +206,7 @@ def test_an_interrupted_run_says_how_to_go_on_and_keeps_photos(good_photos, tmp_
 def test_a_run_that_is_stopped_while_it_moves_things_into_place_is_finished_by_the_next(
     good_photos, tmp_path, monkeypatch
 ):
-    def stop(*_: object) -> None:
+    def stop(*_):
         raise KeyboardInterrupt
 
     record = capture(good_photos, tmp_path / "c", threads=1)

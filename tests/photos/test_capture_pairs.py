@@ -42,7 +42,7 @@ def test_photos_that_look_alike_are_matched():
     places = rng.normal(size=(3, 400, 128)).astype(np.float32)
     places /= np.linalg.norm(places, axis=2, keepdims=True)
 
-    def read(key: str) -> np.ndarray:
+    def read(key):
         seen = rng.permutation(400)[:250]
         noisy = places[int(key) % 3, seen] + rng.normal(0, 0.01, (250, 128)).astype(np.float32)
         return np.asarray(noisy / np.linalg.norm(noisy, axis=1, keepdims=True), np.float32)

@@ -201,7 +201,7 @@ def test_pixels_of_matches_are_read_in_the_order_of_the_pair(tmp_path):
         database.executemany("INSERT INTO images VALUES (?, ?)", [(4, "z.jpg"), (9, "a.jpg")])
         rows = [(key, 3, 6, points.tobytes()) for key, points in zip((4, 9), keypoints, strict=True)]
         database.executemany("INSERT INTO keypoints VALUES (?, ?, ?, ?)", rows)
-        matches = np.array([[0, 2], [1, 0]], np.uint32).tobytes()
+        matches = np.uint32([[0, 2], [1, 0]]).tobytes()
         database.execute("INSERT INTO two_view_geometries VALUES (?, 2, 2, ?)", (PAIR_BASE * 4 + 9, matches))
     database.close()
     with reading(tmp_path / "a.db") as database:

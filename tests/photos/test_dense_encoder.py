@@ -34,7 +34,7 @@ def some_masks(height: int = 24, width: int = 40, seed: int = 1) -> Masks:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     pytest.importorskip("torch", reason="needs torch").set_num_threads(1)
     pytest.importorskip("transformers", reason="needs transformers")
     return write_model(tmp_path_factory.mktemp("models") / "tiny-tipsv2", "tipsv2")

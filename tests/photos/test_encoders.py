@@ -41,13 +41,13 @@ TEXTS = ["a red mug", "the table", "mug", "a blue mug on the table"]
 
 
 @pytest.fixture(scope="session")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def folders(tmp_path_factory) -> dict[str, Path]:
     base = tmp_path_factory.mktemp("models")
     return {kind: write_model(base / f"tiny-{kind}", kind) for kind in KINDS}
 
 
 @pytest.fixture
-def copied(folders: dict[str, Path], tmp_path: Path) -> Path:
+def copied(folders, tmp_path) -> Path:
     """A CLIP to damage."""
     return Path(shutil.copytree(folders["clip"], tmp_path / "copied"))
 
@@ -162,7 +162,7 @@ def test_published_preprocessing_of_square_images(kind, folders):
     """Against the processors of transformers that need no torchvision."""
     name = {"clip": "CLIP", "siglip": "Siglip", "siglip2": "Siglip2"}[kind]
     module = __import__(f"transformers.models.{kind}.image_processing_pil_{kind}", fromlist=["_"])
-    sizes: dict[str, Any] = {
+    sizes = {
         "clip": {"size": {"shortest_edge": SIDE}, "crop_size": SIDE},
         "siglip": {"size": {"height": SIDE, "width": SIDE}},
         "siglip2": {"patch_size": PATCH, "max_num_patches": (SIDE // PATCH) ** 2},
@@ -171,7 +171,7 @@ def test_published_preprocessing_of_square_images(kind, folders):
     encoder = tiny(folders[kind])
     for image in IMAGES:
         theirs = processor(images=image, return_tensors="pt", input_data_format="channels_last")
-        ours: Any = encoder.preprocessing.pixel_values(image)
+        ours = encoder.preprocessing.pixel_values(image)
         if kind == "siglip2":
             ours = patches_by_hand(torch.from_numpy(ours))[0].numpy()
         assert_allclose(ours, theirs["pixel_values"][0], atol=2e-6)
@@ -448,7 +448,7 @@ def test_vectors_without_direction(copied, value):
 
 
 @pytest.fixture
-def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def empty_cache(tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr(hub.constants, "HF_HUB_CACHE", str(tmp_path))
     monkeypatch.setattr(hub.constants, "HF_HUB_OFFLINE", True)
     return tmp_path
@@ -481,7 +481,7 @@ def test_a_cached_model_needs_no_network(empty_cache, folders):
     ],
 )
 def test_what_the_hub_refuses(kind, expected, message, monkeypatch):
-    def refuse(*_: object, **__: object) -> str:
+    def refuse(*_, **__):
         error_type = getattr(hub.errors, kind)
         raise error_type.__new__(error_type, "no")
 
@@ -496,7 +496,7 @@ def test_what_the_hub_refuses(kind, expected, message, monkeypatch):
     [(sam.load_segmenter, "facebook/sam3"), (load_encoder, "facebook/dinov3-vitb16-pretrain-lvd1689m")],
 )
 def test_gated_models_say_how_to_get_them(load, name, monkeypatch):
-    def refuse(*_: object, **__: object) -> str:
+    def refuse(*_, **__):
         raise hub.errors.GatedRepoError.__new__(hub.errors.GatedRepoError, "403")
 
     monkeypatch.setattr(hub, "snapshot_download", refuse)
@@ -519,7 +519,7 @@ def test_a_batch_that_does_not_fit_into_memory_is_made_smaller(folders, monkeypa
     encoder, images = tiny(folders["clip"]), IMAGES * 4
     expected, whole, asked = encoder.encode_images(images), encoder._image_rows, []
 
-    def narrow(some: Sequence[np.ndarray]) -> np.ndarray:
+    def narrow(some):
         asked.append(len(some))
         if len(some) > 6:
             raise torch.cuda.OutOfMemoryError("tried to allocate 3 GiB")
@@ -534,7 +534,7 @@ def test_a_batch_that_does_not_fit_into_memory_is_made_smaller(folders, monkeypa
 def test_a_memory_that_holds_not_one_image_is_told(folders, monkeypatch):
     encoder = tiny(folders["clip"])
 
-    def full(some: Sequence[np.ndarray]) -> np.ndarray:
+    def full(some):
         raise torch.cuda.OutOfMemoryError("tried to allocate 3 GiB")
 
     monkeypatch.setattr(encoder, "_image_rows", full)
@@ -552,7 +552,7 @@ def test_a_broken_torchvision_is_named(tmp_path, monkeypatch):
     assert "torchvision::nms does not exist" in str(libraries.torchvision_fault())
 
     class Stumbling:
-        def __getattr__(self, name: str) -> Any:
+        def __getattr__(self, name):
             raise ModuleNotFoundError(f"Could not import module '{name}'")
 
     monkeypatch.setattr(libraries, "models_library", Stumbling)

@@ -87,7 +87,7 @@ def test_runs_that_do_not_fit(counts, said):
 
 
 def test_runs_may_be_empty_in_between():
-    mask = decode_runs(np.array([0, 2, 0, 1, 3], np.int64), 3, 2, "")
+    mask = decode_runs(np.int64([0, 2, 0, 1, 3]), 3, 2, "")
     assert mask.tolist() == [[True, False], [True, False], [True, False]]
 
 
@@ -277,7 +277,7 @@ def test_patches_are_the_things_on_black(tmp_path):
 def test_photos_are_opened_once(tmp_path, monkeypatch):
     from drsplat.photos.embedding import patches as module
 
-    opened: list[str] = []
+    opened = []
     load = module.load_image
     monkeypatch.setattr(module, "load_image", lambda view: opened.append(view.name) or load(view))
     content = document()
@@ -314,7 +314,7 @@ def test_the_smallest_patch(tmp_path):
 
 
 def test_a_limit_draws_by_seed(tmp_path):
-    def drawn(seed: int) -> list[int]:
+    def drawn(seed):
         source = source_of(tmp_path, limit=2, seed=seed)
         return [wanted.id for photo in source.photos for wanted in photo.instances]
 

@@ -68,7 +68,7 @@ def plain_convolution(x: np.ndarray, weight: np.ndarray, bias: np.ndarray, strid
 def test_the_network_is_that_of_plain_loops():
     rng = default_rng(0)
     channels = (3, 4, 5, 4, 6, 5, 4, 3)
-    weights: dict[str, np.ndarray] = {"projection": rng.normal(size=(6, 7)).astype(np.float32)}
+    weights = {"projection": rng.normal(size=(6, 7)).astype(np.float32)}
     for i, (a, b) in enumerate(itertools.pairwise(channels)):
         weights[f"conv{i}.weight"] = rng.normal(0, 0.4, (9 * a, b)).astype(np.float32)
         weights[f"conv{i}.bias"] = rng.normal(0, 0.2, b).astype(np.float32)

@@ -12,6 +12,7 @@ from PIL import Image
 from scipy.sparse import csc_array, csr_array
 
 import drsplat as ds
+from command_line import error_of
 from drsplat import cli
 from drsplat.errors import InputError
 from drsplat.field.evidence.evidence import Evidence, MaskIds
@@ -115,8 +116,8 @@ def test_the_choice_of_crops_does_not_depend_on_threads(scene, photos, tmp_path)
 
 def test_the_fit_of_a_node_is_its_iou_by_weight_in_the_photo_of_the_mask():
     """Two photos of two masks; node 0 is mask 0 and half of mask 1, and nothing in the second photo."""
-    weights = csr_array(np.array([[4.0, 2, 0, 0], [0, 2, 3, 1]], np.float32))
-    masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int32))
+    weights = csr_array(np.float32([[4.0, 2, 0, 0], [0, 2, 3, 1]]))
+    masks = MaskIds(("a", "b"), np.int32([0, 0, 1, 1]), np.int32([0, 1, 0, 1]))
     evidence = Evidence(weights, masks, np.ones((4, 1), np.float32))
     inside = csr_array(np.array([[4.0, 2, 0, 0], [0, 0, 3, 0]]))
     assert_allclose(node_fits(inside, evidence).toarray(), [[4 / 6, 2 / 8, 0, 0], [0, 0, 1, 0]])
@@ -267,10 +268,10 @@ def test_the_command_embeds_a_few_crops_of_a_few_photos(scene, photos, tmp_path,
     assert (capture / "language_features.parts" / MASKS).is_dir()
     assert (capture / "language_features.parts" / CROPS).is_dir()
     assert len(read_features(capture / "language_features")) == 6
-    assert cli.main([*line, "--views", "auto"]) == 1
-    assert "--views auto needs the scene of the photos: give --scene SCENE" in capsys.readouterr().err
-    assert cli.main([*line, "--crops", "objects"]) == 1
-    assert "--crops objects needs the scene of the photos" in capsys.readouterr().err
+    assert "--views auto needs the scene of the photos: give --scene SCENE" in error_of(
+        capsys, *line, "--views", "auto"
+    )
+    assert "--crops objects needs the scene of the photos" in error_of(capsys, *line, "--crops", "objects")
 
 
 def test_without_embedding_every_mask_has_the_same_vector():

@@ -159,17 +159,17 @@ def check_same(found: Any, expected: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def direct(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def direct(tmp_path_factory) -> Path:
     return write_model(tmp_path_factory.mktemp("direct") / "direct", "clip")
 
 
 @pytest.fixture(scope="module")
-def tensors(direct: Path) -> dict[str, Any]:
+def tensors(direct) -> dict[str, Any]:
     return as_open_clip(transformers.CLIPModel.from_pretrained(direct).float())
 
 
 @pytest.fixture
-def renamed(direct: Path, tensors: dict[str, Any], tmp_path: Path) -> Path:
+def renamed(direct, tensors, tmp_path) -> Path:
     """A model of transformers with its weights under OpenCLIP's names."""
     folder = Path(shutil.copytree(direct, tmp_path / "renamed"))
     (folder / "model.safetensors").unlink()
@@ -178,7 +178,7 @@ def renamed(direct: Path, tensors: dict[str, Any], tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module", params=["gelu", "quick_gelu"])
-def pair(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def pair(request, tmp_path_factory) -> Any:
     """The same model as transformers and as OpenCLIP save it."""
     base = tmp_path_factory.mktemp("pair")
     model = written_directly(base / "direct", request.param)
@@ -192,7 +192,7 @@ def pair(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 @pytest.fixture
-def own(pair: tuple[Path, Path], tmp_path: Path) -> Path:
+def own(pair, tmp_path) -> Path:
     """A folder of OpenCLIP to change."""
     return Path(shutil.copytree(pair[1], tmp_path / "own"))
 
@@ -460,7 +460,7 @@ def test_pickles_are_converted_by_the_command_that_is_given(pair, own):
 
 def fake_hub(repository: Path, target: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """A hub with one repository; the names that were downloaded, in order."""
-    downloaded: list[str] = []
+    downloaded = []
     target.mkdir()
 
     def download(_: str, allow_patterns: list[str]) -> str:

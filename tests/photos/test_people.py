@@ -50,7 +50,7 @@ def with_somebody(photo: np.ndarray, left: int, somebody: Somebody) -> tuple[np.
 
 
 @pytest.fixture(scope="module")
-def visited(somebody: Somebody, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def visited(somebody, tmp_path_factory) -> Path:
     """Photos of the room, through some of which somebody walks."""
     folder = tmp_path_factory.mktemp("visited") / "photos"
     folder.mkdir()

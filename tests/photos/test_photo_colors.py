@@ -118,7 +118,7 @@ def test_which_terms_a_name_means(name, terms):
 @pytest.mark.parametrize(("color", "rgb"), SEEN)
 def test_pixels_are_called_as_people_call_them(color, rgb):
     pytest.importorskip("matplotlib", reason="the survey's names come with matplotlib")
-    shares = term_shares(np.array([rgb], np.uint8))[0]
+    shares = term_shares(np.uint8([rgb]))[0]
     assert COLORS[int(shares.argmax())] == color
     assert_allclose(shares.sum(), 1, atol=1e-6)
 

@@ -1,5 +1,6 @@
 """Photos of a field are looked at again, and vote for its objects."""
 
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 import drsplat as ds
+from command_line import answer_of, error_of
 from drsplat import Scene, cli
 from drsplat.authoring.exporting.masking import draw_features
 from drsplat.errors import DrSplatWarning
@@ -108,23 +110,20 @@ def test_photos_of_something_else_are_refused(scene, photos, halves, tmp_path):
         vote_for_objects(replace(halves, evidence=None, growth=None), scene, photos, parts=tmp_path)
 
 
-def test_the_verb_asks_the_photos(scene, photos, halves, tmp_path, capsys):
-    ds.write_gaussians(tmp_path / "scene.ply", scene)
+def write_room(folder: Path, scene: ds.Gaussians, photos: list[ds.View]) -> None:
+    ds.write_gaussians(folder / "scene.ply", scene)
+    shutil.copytree(photos[0].image_path.parent, folder / "capture/images")
+    write_cameras_json(folder / "capture/cameras.json", photos)
 
-    capture = tmp_path / "capture"
-    (capture / "images").mkdir(parents=True)
-    for view in photos:
-        (capture / "images" / view.name).write_bytes(Path(str(view.image_path)).read_bytes())
-    write_cameras_json(capture / "cameras.json", photos)
+
+def test_the_verb_asks_the_photos(scene, photos, halves, tmp_path, capsys):
+    write_room(tmp_path, scene, photos)
     halves.save(tmp_path / "room.field")
-    line = ["objects", str(tmp_path / "room.field"), "--scene", str(tmp_path / "scene.ply")]
-    assert cli.main([*line, "--json"]) == 0
-    assert '"num_objects": 5' in capsys.readouterr().out
-    assert cli.main([*line, "--vote", "--views", str(capture), "--json"]) == 0
-    assert '"num_objects": 3' in capsys.readouterr().out
+    line = ["objects", tmp_path / "room.field", "--scene", tmp_path / "scene.ply"]
+    assert answer_of(capsys, *line)["num_objects"] == 5
+    assert answer_of(capsys, *line, "--vote", "--views", tmp_path / "capture")["num_objects"] == 3
     assert not (tmp_path / "room.field.parts").exists()
-    assert cli.main([*line, "--again", "--vote"]) == 1
-    assert "none of 0 photos is of this field" in capsys.readouterr().err
+    assert "none of 0 photos is of this field" in error_of(capsys, *line, "--again", "--vote")
 
 
 # --- masks of what was voted for ------------------------------------------------------------------
@@ -134,25 +133,27 @@ def test_the_verb_asks_the_photos(scene, photos, halves, tmp_path, capsys):
 def voted(scene, photos, halves, tmp_path_factory) -> Path:
     """A folder with scene, capture and field: three things, two of them of two parts."""
     folder = tmp_path_factory.mktemp("voted")
-    ds.write_gaussians(folder / "scene.ply", scene)
-    (folder / "capture/images").mkdir(parents=True)
-    for view in photos:
-        (folder / "capture/images" / view.name).write_bytes(Path(str(view.image_path)).read_bytes())
-    write_cameras_json(folder / "capture/cameras.json", photos)
+    write_room(folder, scene, photos)
     objects = vote_for_objects(halves, scene, photos, parts=folder / "votes")
     halves.with_objects(objects).save(folder / "room.field")
     return folder
 
 
-def embed_line(folder: Path, output: Path, *more: str) -> list[str]:
-    given = ["--masks", folder / "room.field", "--scene", folder / "scene.ply", "--encoder", "drsplat-mini"]
+def embed_line(folder: Path, output: Path, *more: str, masks: str = "room.field") -> list[str]:
+    given = ["--masks", folder / masks, "--scene", folder / "scene.ply", "--encoder", "drsplat-mini"]
     return [*map(str, ["embed", folder / "capture", *given, "--output", output]), *more]
 
 
-def test_voted_things_become_masks_and_register_and_a_click_go_on_from_them(voted, photos, tmp_path, capsys):
-    assert cli.main(embed_line(voted, tmp_path / "things")) == 0
+@pytest.fixture(scope="module")
+def embedded(voted) -> Path:
+    """Features of the masks of what was voted for."""
+    assert cli.main(embed_line(voted, voted / "things")) == 0
+    return voted / "things"
+
+
+def test_voted_things_become_masks_and_register_and_a_click_go_on_from_them(voted, embedded, photos, tmp_path):
     objects = ds.load_field(voted / "room.field").objects
-    levels = {level: ds.read_features(tmp_path / "things", level) for level in LEVELS}
+    levels = {level: ds.read_features(embedded, level) for level in LEVELS}
     for view in photos:
         numbers = {level: set(levels[level][view.name].file_rows.tolist()) for level in LEVELS}
         assert numbers["large"] == numbers["default"] == set(objects.things.tolist())
@@ -161,7 +162,7 @@ def test_voted_things_become_masks_and_register_and_a_click_go_on_from_them(vote
         above = {objects.above(node) for node in numbers["medium"] if objects.levels[node] == 0}
         assert above < numbers["large"]
     paths = [tmp_path / "again.field", "--scene", voted / "scene.ply"]
-    register = ["register", voted / "scene.ply", voted / "capture", "--features", tmp_path / "things", "--output"]
+    register = ["register", voted / "scene.ply", voted / "capture", "--features", embedded, "--output"]
     assert cli.main([*map(str, [*register, paths[0]])]) == 0
     assert cli.main([*map(str, ["objects", *paths])]) == 0
     again = ds.open_scene(paths[0], scene=paths[2], views=voted / "capture")
@@ -174,13 +175,11 @@ def test_voted_things_become_masks_and_register_and_a_click_go_on_from_them(vote
         assert len(np.intersect1d(found, own)) / len(np.union1d(found, own)) > 0.9
 
 
-def test_a_few_crops_of_each_thing_stand_for_all_of_its_masks(voted, photos, tmp_path, monkeypatch, capsys):
+def test_a_few_crops_of_each_thing_stand_for_all_of_its_masks(voted, embedded, photos, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(objects_first, "share_crops", partial(objects_first.share_crops, most=2))
-    assert cli.main(embed_line(voted, tmp_path / "all")) == 0
-    capsys.readouterr()
-    assert cli.main(embed_line(voted, tmp_path / "few", "--crops", "objects", "--json")) == 0
-    assert '"num_crops": 6' in capsys.readouterr().out  # two of each of three things
-    every, few = (ds.read_features(tmp_path / name) for name in ("all", "few"))
+    answer = answer_of(capsys, *embed_line(voted, tmp_path / "few", "--crops", "objects"))
+    assert answer["num_crops"] == 6  # two of each of three things
+    every, few = (ds.read_features(folder) for folder in (embedded, tmp_path / "few"))
     for view in photos:
         assert_array_equal(every[view.name].mask_ids, few[view.name].mask_ids)
         assert_array_equal(every[view.name].file_rows, few[view.name].file_rows)
@@ -220,13 +219,9 @@ def test_what_no_photo_shows_in_front_is_told(voted, tmp_path):
         draw_features(tmp_path / "masks", scene, aside)
 
 
-def test_masks_of_features_are_not_the_same_in_every_photo(voted, tmp_path, capsys):
-    assert cli.main(embed_line(voted, tmp_path / "things")) == 0
-    capsys.readouterr()
-    line = [str(tmp_path / "things") if part.endswith("room.field") else part
-            for part in embed_line(voted, tmp_path / "few", "--crops", "objects")]  # fmt: skip
-    assert cli.main(line) == 1
-    assert "crops of objects are of one level" in capsys.readouterr().err
+def test_masks_of_features_are_not_the_same_in_every_photo(voted, embedded, tmp_path, capsys):
+    line = embed_line(voted, tmp_path / "few", "--crops", "objects", masks="things")
+    assert "crops of objects are of one level" in error_of(capsys, *line)
 
 
 # --- trees ----------------------------------------------------------------------------------------

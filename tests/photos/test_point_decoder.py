@@ -13,7 +13,7 @@ KINDS = ("sam", "sam2", "sam3_tracker")
 
 
 @pytest.fixture(scope="module", params=KINDS)
-def model(request: pytest.FixtureRequest, library: Any) -> Any:  # noqa: F811
+def model(request, library) -> Any:  # noqa: F811
     made = tiny_model(library, request.param)
     fill(made, 0)
     return made

@@ -85,7 +85,7 @@ def test_box_nms_is_that_of_a_plain_loop(drawn, data, max_iou):
         shared = across * down
         return shared / (areas - shared) if areas > shared else 0.0
 
-    kept: list[int] = []
+    kept = []
     for i in sorted(range(len(boxes)), key=lambda i: -scores[i]):
         if not any(iou(boxes[i], boxes[j]) > max_iou for j in kept):
             kept.append(i)
@@ -167,6 +167,7 @@ def placed(height: int, width: int) -> np.ndarray:
     return image
 
 
+PLACED = placed(120, 200)
 NO_CROPS = PointMaskSettings(points_per_side=8, crop_layers=0)
 PART, THING, GROUP = (40, 40, 60, 60), (32, 32, 90, 90), (20, 10, 180, 100)
 
@@ -177,7 +178,7 @@ def boxes_of(levels) -> dict[str, list[tuple[int, ...]]]:
 
 def test_levels_are_the_three_answers_of_a_point():
     segmenter = PointSegmenter(Drawn(PART, THING, GROUP), NO_CROPS)
-    levels = segmenter.segment(placed(120, 200))
+    levels = segmenter.segment(PLACED)
     assert isinstance(segmenter, Segmenter)
     assert tuple(levels) == LEVELS
     found = boxes_of(levels)
@@ -189,7 +190,7 @@ def test_levels_are_the_three_answers_of_a_point():
 
 def test_things_apart_stay_apart():
     shapes = [(5, 5, 45, 45), (60, 5, 110, 100), (130, 40, 190, 110)]
-    levels = PointSegmenter(Drawn(*shapes), NO_CROPS).segment(placed(120, 200))
+    levels = PointSegmenter(Drawn(*shapes), NO_CROPS).segment(PLACED)
     assert boxes_of(levels) == dict.fromkeys(LEVELS, sorted(shapes))
     maps = mask_maps(levels)
     assert len(maps.masks) == 12
@@ -200,17 +201,17 @@ def test_things_apart_stay_apart():
 def test_what_no_level_needs_is_not_used():
     one = replace(NO_CROPS, levels=("large",))
     assert one.outputs == (2,)
-    levels = PointSegmenter(Drawn(PART, THING, GROUP), one).segment(placed(120, 200))
+    levels = PointSegmenter(Drawn(PART, THING, GROUP), one).segment(PLACED)
     assert boxes_of(levels) == {"large": [GROUP]}
     assert NO_CROPS.outputs == (0, 1, 2)
 
 
 def test_answers_below_the_thresholds_are_dropped():
     unsure = Drawn(THING, scores=(0.7, 0.71, 0.9))  # of 0.7 not above, of 0.71 x 0.95 mask NMS
-    levels = PointSegmenter(unsure, NO_CROPS).segment(placed(120, 200))
+    levels = PointSegmenter(unsure, NO_CROPS).segment(PLACED)
     assert boxes_of(levels) == {"default": [THING], "small": [], "medium": [], "large": [THING]}
     strict = replace(NO_CROPS, min_stability=0.96)
-    assert not any(map(len, PointSegmenter(unsure, strict).segment(placed(120, 200)).values()))
+    assert not any(map(len, PointSegmenter(unsure, strict).segment(PLACED).values()))
 
 
 def test_crops_are_asked_and_their_masks_put_in_place():
@@ -219,12 +220,12 @@ def test_crops_are_asked_and_their_masks_put_in_place():
     assert not any(small[0] <= x < small[2] and small[1] <= y < small[3] for x, y in point_grid(8) * (200, 120))
     predictor = Drawn(small)
     settings = replace(NO_CROPS, crop_layers=1, min_region=0)
-    levels = PointSegmenter(predictor, settings).segment(placed(120, 200))
+    levels = PointSegmenter(predictor, settings).segment(PLACED)
     assert boxes_of(levels)["large"] == [small]
     assert predictor.asked == [((120, 200), 64)] + [((80, 120), 64)] * 4
     halved = replace(settings, crop_points_divisor=2)
     predictor.asked.clear()
-    PointSegmenter(predictor, halved).segment(placed(120, 200))
+    PointSegmenter(predictor, halved).segment(PLACED)
     assert predictor.asked[1] == ((80, 120), 16)
 
 
@@ -232,8 +233,8 @@ def test_coarse_to_fine_finds_what_a_fine_grid_finds_and_asks_less():
     shapes = [(5, 5, 45, 45), (60, 5, 110, 100), (130, 40, 190, 110), (150, 8, 156, 13)]
     settings = replace(NO_CROPS, points_per_side=32, min_region=0)
     grid, rounds = Drawn(*shapes), Drawn(*shapes)
-    expected = PointSegmenter(grid, settings).segment(placed(120, 200))
-    levels = PointSegmenter(rounds, replace(settings, first_points_per_side=4)).segment(placed(120, 200))
+    expected = PointSegmenter(grid, settings).segment(PLACED)
+    levels = PointSegmenter(rounds, replace(settings, first_points_per_side=4)).segment(PLACED)
     assert boxes_of(levels) == boxes_of(expected) == dict.fromkeys(LEVELS, sorted(shapes))
     assert rounds.asked[0] == ((120, 200), 16)
     assert len(rounds.asked) == 4  # 4, 8, 16 and 32 a side
@@ -244,9 +245,9 @@ def test_what_a_part_explains_is_not_asked_again_and_what_only_a_group_does_is()
     inner, outer = (0, 0, 100, 120), (0, 0, 200, 120)
     parts, groups = Drawn(inner, outer), Drawn(inner, outer, scores=(0.1, 0.9, 0.9))
     settings = replace(NO_CROPS, points_per_side=4, first_points_per_side=2)
-    PointSegmenter(parts, settings).segment(placed(120, 200))
+    PointSegmenter(parts, settings).segment(PLACED)
     assert parts.asked == [((120, 200), 4)]
-    PointSegmenter(groups, settings).segment(placed(120, 200))
+    PointSegmenter(groups, settings).segment(PLACED)
     assert groups.asked == [((120, 200), 4), ((120, 200), 16)]
 
 
@@ -268,7 +269,7 @@ def test_what_stands_on_a_thing_is_asked_for_and_painted_over_the_mask_of_both()
     settings = replace(NO_CROPS, points_per_side=16, first_points_per_side=2, levels=("large",), min_region=0)
     for inner, expected in ((0.5, [table]), (0.0, [table, cup])):
         predictor = Table(cup, table)
-        large = PointSegmenter(predictor, replace(settings, mask_inner=inner)).segment(placed(120, 200))["large"]
+        large = PointSegmenter(predictor, replace(settings, mask_inner=inner)).segment(PLACED)["large"]
         assert [count for _, count in predictor.asked] == [4, 2]  # first the table, then in the cup alone
         assert [tuple(box) for box in large.boxes.tolist()] == expected
     assert_array_equal(mask_maps({"large": large}).mask_ids[LEVELS.index("large")], on_table)
@@ -277,7 +278,7 @@ def test_what_stands_on_a_thing_is_asked_for_and_painted_over_the_mask_of_both()
 def test_no_more_points_are_asked_than_allowed_and_they_are_spread():
     nothing = Drawn()
     settings = replace(NO_CROPS, points_per_side=16, first_points_per_side=4, most_points=50)
-    PointSegmenter(nothing, settings).segment(placed(120, 200))
+    PointSegmenter(nothing, settings).segment(PLACED)
     assert [count for _, count in nothing.asked] == [16, 34]
     kept = spread(point_grid(8), 16)
     assert len(kept) == 16
@@ -306,7 +307,7 @@ def test_masks_are_painted_from_sure_to_unsure():
             masks[0, 20:80, 20:80], masks[1, 20:80, 60:120] = True, True
             yield PointMasks(masks, np.float32([0.8, 0.95]), np.float32([1, 1]), np.array([2, 2]), np.array([0, 1]))
 
-    levels = PointSegmenter(Two(), NO_CROPS).segment(placed(120, 200))
+    levels = PointSegmenter(Two(), NO_CROPS).segment(PLACED)
     assert_allclose(levels["large"].scores, [0.95, 0.8])
     ids = mask_maps({"large": levels["large"]}).mask_ids[0]
     assert (ids[50, 70], ids[50, 100], ids[50, 30]) == (1, 0, 1)
@@ -503,8 +504,12 @@ def folder(request, library, tmp_path_factory) -> Path:
     return saved(tmp_path_factory.mktemp(request.param), library, request.param)
 
 
+def loaded(folder: Path, how: PointMaskSettings = LOOSE) -> PointSegmenter:
+    return sam.load_segmenter(str(folder), "cpu", how)
+
+
 def test_tiny_models_make_masks(folder):
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     levels = segmenter.segment(IMAGE)
     assert tuple(levels) == LEVELS
     assert len(levels["default"]) >= 20
@@ -516,8 +521,8 @@ def test_tiny_models_make_masks(folder):
 
 @pytest.mark.slow
 def test_equal_identity_means_equal_masks(folder, library, tmp_path):
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
-    again = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
+    again = loaded(folder)
     assert segmenter.identity == again.identity
     json.dumps(segmenter.identity)
     for one, two in zip(segmenter.segment(IMAGE).values(), again.segment(IMAGE).values(), strict=True):
@@ -527,20 +532,20 @@ def test_equal_identity_means_equal_masks(folder, library, tmp_path):
     other = sam.load_segmenter(str(saved(tmp_path / folder.name, library, kind, 1)), "cpu", LOOSE)
     assert other.identity["weights"] != segmenter.identity["weights"]
     assert {**other.identity, "weights": ""} == {**segmenter.identity, "weights": ""}
-    stricter = sam.load_segmenter(str(folder), "cpu", replace(LOOSE, min_stability=0.5))
+    stricter = loaded(folder, replace(LOOSE, min_stability=0.5))
     assert stricter.identity != segmenter.identity
 
 
 def test_the_callers_torch_is_left_as_it_was(folder):
     import torch
 
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     for _ in segmenter.predictor.find(IMAGE, point_grid(2) * 64, LOOSE):
         assert not torch.is_inference_mode_enabled()
 
 
 def test_masks_do_not_depend_on_how_many_are_enlarged_at_a_time(folder, monkeypatch):
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     whole = segmenter.segment(IMAGE)["default"]
     monkeypatch.setattr(sam, "_CHUNK_FLOATS", 2 * 150 * 200)
     sizes = [len(f.masks) for f in segmenter.predictor.find(IMAGE, point_grid(4) * 64, LOOSE)]
@@ -553,7 +558,7 @@ def test_masks_do_not_depend_on_how_many_are_enlarged_at_a_time(folder, monkeypa
 def test_points_that_do_not_fit_into_memory_are_asked_in_parts(folder, monkeypatch):
     import torch
 
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     whole, expected = segmenter.predictor._answers, segmenter.segment(IMAGE)
 
     def narrow(features, points):
@@ -568,7 +573,7 @@ def test_points_that_do_not_fit_into_memory_are_asked_in_parts(folder, monkeypat
 
 @pytest.mark.slow
 def test_an_image_is_encoded_once_for_all_rounds_of_points(folder, monkeypatch):
-    segmenter = sam.load_segmenter(str(folder), "cpu", replace(LOOSE, first_points_per_side=1, crop_layers=1))
+    segmenter = loaded(folder, replace(LOOSE, first_points_per_side=1, crop_layers=1))
     encode, encoded = segmenter.predictor._features, []
 
     def counted(crops):
@@ -589,7 +594,7 @@ def test_answers_are_those_of_the_bare_model(folder, library):
 
     image = IMAGE[:64, :64].copy()
     points = point_grid(3) * 64
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     settings = replace(LOOSE, min_stability=0.0)
     found = list(segmenter.predictor.find(image, points, settings))
     masks = np.concatenate([f.masks for f in found])
@@ -611,7 +616,7 @@ def test_the_models_of_video_checkpoints_are_loaded(library, tmp_path):
     """What Meta's SAM 2 folders on the hub say they are."""
     folder = saved(tmp_path, library, "sam2_video")
     assert json.loads((folder / "config.json").read_text())["model_type"] == "sam2_video"
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     assert segmenter.identity["architecture"] == "Sam2Model"
     segmenter.segment(IMAGE)
 
@@ -641,7 +646,7 @@ def test_the_tracker_of_a_sam_3_that_holds_a_detector_too(library, tmp_path):
     config.save_pretrained(tmp_path)
     weights = both.state_dict()
     save_file({name: tensor.contiguous() for name, tensor in weights.items()}, tmp_path / "model.safetensors")
-    segmenter = sam.load_segmenter(str(tmp_path), "cpu", LOOSE)
+    segmenter = loaded(tmp_path)
     assert segmenter.identity["architecture"] == "Sam3TrackerModel"
     assert (segmenter.identity["side"], segmenter.identity["mean"]) == (64, [0.5] * 3)
     segmenter.segment(IMAGE)
@@ -674,14 +679,14 @@ def test_pixels_are_normalised_as_the_folder_says(library, tmp_path):
     folder = saved(tmp_path, library)
     config = folder / "preprocessor_config.json"
     config.write_text('{"image_mean": [0.5, 0.25, 0], "image_std": [1, 2, 4]}')
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     values = segmenter.predictor.frame.pixel_values(np.full((64, 64, 3), 255, np.uint8))
     assert_allclose(values[:, 0, 0], [0.5, 0.375, 0.25])
     assert segmenter.identity["std"] == [1, 2, 4]
     config.rename(folder / "processor_config.json").write_text(
         '{"image_processor": {"image_mean": [0.1, 0.2, 0.3]}}'  # as transformers 5 saves it
     )
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     assert segmenter.identity["mean"] == [0.1, 0.2, 0.3]
     for wrong in ('{"image_std": [1, 0, 1]}', '{"image_mean": [1, 2]}', "[]"):
         config.write_text(wrong)
@@ -712,9 +717,9 @@ def test_masks_are_those_of_the_pipeline_of_transformers(library, tmp_path):
     run_pipeline(folder, {name: {**common, **call} for name, call in calls.items()})
     theirs = {name: np.load(folder / f"{name}.npz")["masks"] for name in calls}
 
-    def ours(**changed) -> list[np.ndarray]:
+    def ours(**changed):
         s = replace(LOOSE, levels=("default",), **changed)
-        masks = sam.load_segmenter(str(folder), "cpu", s).segment(IMAGE)["default"]
+        masks = loaded(folder, s).segment(IMAGE)["default"]
         return [masks.full(i) for i in range(len(masks))]
 
     assert len(theirs["all"]) >= 50
@@ -746,7 +751,7 @@ def run_alone(script: str, *arguments: str) -> None:
 
 
 def once_over_all_crops(folder: Path, max_iou: float) -> list[np.ndarray]:
-    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    segmenter = loaded(folder)
     crops = crop_boxes(*IMAGE.shape[:2], 1, LOOSE.crop_overlap)
     found = [c for layer, crop in crops for c in segmenter._in_crop(IMAGE, crop, layer)]
     masks = []

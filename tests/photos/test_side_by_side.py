@@ -1,7 +1,6 @@
 """Photos side by side: the files of one after the other, and no more at a time than said."""
 
 import threading
-from collections.abc import Iterator
 
 import pytest
 from hypothesis import given
@@ -28,9 +27,9 @@ def test_as_many_work_at_once_as_said():
 @pytest.mark.parametrize("at_once", [1, 2, 4])
 def test_no_more_are_begun_than_said(at_once):
     taken = 0
-    begun: list[int] = []
+    begun = []
 
-    def items() -> Iterator[int]:
+    def items():
         for item in range(12):
             assert len(begun) - taken < at_once
             begun.append(item)
@@ -42,7 +41,7 @@ def test_no_more_are_begun_than_said(at_once):
 
 
 def test_what_came_before_an_error_is_there():
-    def work(item: int) -> float:
+    def work(item):
         return 6 / (3 - item)
 
     found = side_by_side(work, range(9), 2)

@@ -54,7 +54,7 @@ def answer(catalogue: Catalogue, vector: np.ndarray, where: Conditions = ANYWHER
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np.ndarray]:
+def made(tmp_path_factory) -> tuple[Path, np.ndarray, np.ndarray]:
     """A catalogue of four scenes with codes, each in a file of its own, its descriptors and words."""
     path = tmp_path_factory.mktemp("coded") / "c"
     vectors, words = drawn(default_rng(0), 4)
@@ -66,7 +66,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np
 
 
 @pytest.fixture
-def coded(made: tuple[Path, np.ndarray, np.ndarray], tmp_path: Path) -> tuple[Catalogue, np.ndarray, np.ndarray]:
+def coded(made, tmp_path) -> tuple[Catalogue, np.ndarray, np.ndarray]:
     shutil.copytree(made[0], tmp_path / "c")
     return Catalogue.open(tmp_path / "c"), *made[1:]
 
@@ -150,7 +150,7 @@ def test_conditions(coded, monkeypatch):
 
 def test_files_that_were_put_together_are_coded(coded, monkeypatch):
     catalogue, _, words = coded
-    encoded: list[object] = []
+    encoded = []
     monkeypatch.setattr(table, "_is_scattered", lambda _: True)
     monkeypatch.setattr(table, "_encoded", lambda *given: encoded.append(given))
     before = {file.name for file in (catalogue.path / "codes").rglob("*")}

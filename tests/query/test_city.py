@@ -1,6 +1,5 @@
 """A scene in tiles that stays on disk: the answers, boxes and pictures of the same scene in memory, to the bit."""
 
-import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +13,7 @@ from numpy.testing import assert_array_equal
 
 import drsplat as ds
 from cities import ROWS, write_city
-from drsplat.cli import main
+from command_line import answer_of
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.sources import blocks_of
@@ -34,7 +33,7 @@ SURFACES = [(x, y - 0.3, z) for x, y, z in THINGS.values()]  # the balls are hol
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def city(tmp_path_factory) -> Path:
     return write_city(tmp_path_factory.mktemp("city"))
 
 
@@ -43,7 +42,7 @@ def opened(folder: Path) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def both(city: Path) -> tuple[Scene, Scene]:
+def both(city) -> tuple[Scene, Scene]:
     """The scene in tiles, and the one in memory."""
     return opened(city / "tiled"), opened(city / "whole")
 
@@ -249,6 +248,5 @@ def test_the_command_line_prints_the_same(city, capsys):
     printed = []
     for name, scene in (("tiled", "city.tiles"), ("whole", "scene.ply")):
         folder = city / name
-        assert main(["locate", str(folder / "city.field"), "red mug", "--scene", str(folder / scene), "--json"]) == 0
-        printed.append(json.loads(capsys.readouterr().out))
+        printed.append(answer_of(capsys, "locate", folder / "city.field", "red mug", "--scene", folder / scene))
     assert printed[0]["matches"] == printed[1]["matches"]

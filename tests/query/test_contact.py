@@ -29,7 +29,7 @@ def scene_of(*things: np.ndarray, turn: np.ndarray | None = None) -> tuple[Gauss
     n, ends = len(points), np.cumsum([0, *map(len, things)])
     gaussians = Gaussians(
         points.astype(np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
         np.full((n, 3), THICK, np.float32),
         np.full(n, 0.9, np.float32),
         np.zeros((n, 1, 3), np.float32),

@@ -1,6 +1,5 @@
 """How much better a query fits than a list of words."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -85,7 +84,7 @@ def world() -> World:
 
 
 @pytest.fixture(scope="module")
-def scene(world: World) -> tuple[LanguageField, np.ndarray]:
+def scene(world) -> tuple[LanguageField, np.ndarray]:
     return field_and_truth(world, SHARES)
 
 
@@ -188,7 +187,7 @@ def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene():
     """One row in 3,000, of 10 to PEAK_ROWS; above a short list PEAK_ROWS in any scene."""
     texts = np.eye(WORDS_PER_RIVAL, dtype=np.float32)
 
-    def peak(words: int, rows: int) -> int:
+    def peak(words, rows):
         known = contrast_of(texts[:2], texts[:words])
         scores, best = (np.broadcast_to(array[:1], (rows, array.shape[1])) for array in (known.scores, known.words))
         return replace(known, scores=scores, words=best).peak
@@ -265,7 +264,7 @@ def test_an_encoder_of_some_words_is_contrasted_with_those_of_its_own_list():
     class Own(ToyEncoder):
         nouns = ("a mug of mine", "unheard of", "my plate")
 
-        def encode_texts(self, texts: Sequence[str]) -> np.ndarray:
+        def encode_texts(self, texts):
             if "unheard of" in texts:
                 raise InputError("unknown")
             return super().encode_texts(texts)

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,12 +31,12 @@ THING = np.random.default_rng(3).integers(1, 256, (12, 20, 3), np.uint8)
 
 
 @pytest.fixture(scope="module")
-def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def clip(tmp_path_factory) -> Path:
     return write_model(tmp_path_factory.mktemp("models") / "tiny-clip", "clip")
 
 
 @pytest.fixture(scope="module")
-def dinov2(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dinov2(tmp_path_factory) -> Path:
     return write_model(tmp_path_factory.mktemp("models") / "tiny-dinov2", "dinov2")
 
 
@@ -51,13 +50,13 @@ def asked(field: LanguageField, query: Query, encoder: Path | str | None = None)
 
 
 @pytest.fixture(scope="module")
-def field(clip: Path) -> LanguageField:
+def field(clip) -> LanguageField:
     return field_of(load_encoder(str(clip), "cpu").identity)
 
 
 @pytest.mark.slow
 def test_words_through_the_encoder_of_the_field(clip, field):
-    encoder: Any = load_encoder(str(clip), "cpu")
+    encoder = load_encoder(str(clip), "cpu")
     expected = encoder.encode_texts(["a red mug"])[0]
     answer = asked(field, Query("a red mug"), clip)
     assert (answer.measure, answer.rule) == ("relevancy", "list")
@@ -68,7 +67,7 @@ def test_words_through_the_encoder_of_the_field(clip, field):
 
 
 def test_lerfs_relevancy_is_measured_when_asked_for(clip, field):
-    encoder: Any = load_encoder(str(clip), "cpu")
+    encoder = load_encoder(str(clip), "cpu")
     answer = asked(field, Query("a red mug", relevancy=True), clip)
     assert (answer.measure, answer.threshold, answer.rule) == ("relevancy", 0.5, "default")
     query, *negatives = encoder.encode_texts(["a red mug", "object", "things", "stuff", "texture"])
@@ -79,7 +78,7 @@ def test_an_image_is_padded_to_a_square_as_masks_are(clip, field, tmp_path):
     Image.fromarray(THING).save(tmp_path / "thing.png")
     square = np.zeros((20, 20, 3), np.uint8)
     square[4:16] = THING
-    encoder: Any = load_encoder(str(clip), "cpu")
+    encoder = load_encoder(str(clip), "cpu")
     answer = asked(field, Query(image=read_picture(str(tmp_path / "thing.png"))), clip)
     assert_allclose(answer.vector, encoder.encode_images([square])[0], atol=1e-6)
 

@@ -1,6 +1,5 @@
 """Boxes on the Earth: positions and footprints of matches and objects, of scenes in one file and in tiles."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from cities import write_city
+from command_line import answer_of
 from drsplat.cli import main
 from drsplat.errors import FormatError
 from drsplat.formats.georeference import NAME, Georeference, write_georeference
@@ -66,7 +66,7 @@ def test_without_a_georeference_nothing_is_said():
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def city(tmp_path_factory) -> Path:
     made = write_city(tmp_path_factory.mktemp("city"))
     for name in ("tiled", "whole"):
         write_georeference(made / name, TURNED)
@@ -81,8 +81,7 @@ def test_the_command_line_tells_where_on_the_earth_matches_are(city, capsys):
     matches = []
     for name, scene in (("tiled", "city.tiles"), ("whole", "scene.ply")):
         given = ["locate", str(city / name / "city.field"), "red mug", "--scene", str(city / name / scene)]
-        assert main([*given, "--json"]) == 0
-        matches.append(json.loads(capsys.readouterr().out)["matches"])
+        matches.append(answer_of(capsys, *given)["matches"])
     assert matches[0] == matches[1]
     (match,) = matches[0]
     east, north, up = metres(list(match["position"].values()))[0] / 2

@@ -85,9 +85,9 @@ def test_a_row_of_an_object_has_the_mean_of_its_own_value_and_the_objects(scene)
 
 def test_a_piece_that_fits_better_than_its_thing_speaks_for_its_rows():
     """Closed form: a quarter of thing 0 reaches 0.3, and of its piece 0.4; loose rows keep their own."""
-    values = np.array([0.1, 0.2, 0.3, 0.4, 0.1, 0.8, 0.8, 0.5], np.float32)
-    things = np.array([0, 0, 0, 0, 0, 1, 1, -1], np.int32)
-    pieces = np.array([-1, -1, 1, 1, 1, -1, -1, -1], np.int32)
+    values = np.float32([0.1, 0.2, 0.3, 0.4, 0.1, 0.8, 0.8, 0.5])
+    things = np.int32([0, 0, 0, 0, 0, 1, 1, -1])
+    pieces = np.int32([-1, -1, 1, 1, 1, -1, -1, -1])
     got = of_objects(values, things, pieces)
     expected = [(0.1 + 0.3) / 2, (0.2 + 0.3) / 2, (0.3 + 0.4) / 2, (0.4 + 0.4) / 2, (0.1 + 0.4) / 2, 0.8, 0.8, 0.5]
     assert_allclose(got, expected, rtol=1e-6)
@@ -137,7 +137,7 @@ def test_a_thing_that_fits_best_hides_no_other(scene):
         identity = scene.field.encoder
         threshold = 0.3
 
-        def encode_texts(self, texts: list[str]) -> np.ndarray:
+        def encode_texts(self, texts):
             return np.stack([query / np.linalg.norm(query)] * len(texts)).astype(np.float32)
 
     found = Scene(scene.field, scene.gaussians, encoder=Half()).locate("either")
@@ -207,7 +207,7 @@ def test_what_is_excluded_is_excluded_in_whole_things(scene):
         identity = scene.field.encoder
         threshold = 0.3
 
-        def encode_texts(self, texts: list[str]) -> np.ndarray:
+        def encode_texts(self, texts):
             return np.stack([vectors[text] / np.linalg.norm(vectors[text]) for text in texts]).astype(np.float32)
 
     asked = Scene(scene.field, scene.gaussians, encoder=Axes())

@@ -45,7 +45,7 @@ THINGS = {
 def room() -> tuple[Gaussians, dict[str, Match]]:
     points = np.concatenate(list(THINGS.values())).astype(np.float32)
     n = len(points)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
     full = np.full((n, 3), 0.005, np.float32), np.full(n, 0.9, np.float32), np.zeros((n, 1, 3), np.float32)
     gaussians = Gaussians(points, quats, *full)
     ends = np.cumsum([0, *(len(thing) for thing in THINGS.values())])

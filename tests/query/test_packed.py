@@ -45,9 +45,9 @@ def test_products_are_those_of_the_vectors(count, dim, queries, seed):
         (np.zeros((2, 3), np.int8), np.ones(4, np.float32)),
         (np.zeros((2, 3), np.uint8), np.ones(4)),
         (np.zeros((2, 3), np.uint8), np.ones(3, np.float32)),
-        (np.zeros((2, 3), np.uint8), np.array([0, 1, 1, np.nan], np.float32)),
-        (np.zeros((2, 3), np.uint8), np.array([0, 1, 1, 2], np.float32)),
-        (np.zeros((2, 3), np.uint8), np.array([0, 1, 1, -1], np.float32)),
+        (np.zeros((2, 3), np.uint8), np.float32([0, 1, 1, np.nan])),
+        (np.zeros((2, 3), np.uint8), np.float32([0, 1, 1, 2])),
+        (np.zeros((2, 3), np.uint8), np.float32([0, 1, 1, -1])),
     ],
 )
 def test_other_arrays_are_refused(data, steps):

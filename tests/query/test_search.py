@@ -15,7 +15,6 @@ from drsplat.query import Answer, Query, Scene
 from drsplat.query.search import NEGATIVES, UNSELECTED_COSINE, embed_query, split_negation, text_negatives, without
 from drsplat.scene.encoders import EncoderIdentity
 from fields import ToyEncoder, toy_field
-from furnished.story import Story
 from refusing import refused
 
 
@@ -100,15 +99,15 @@ def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(more, un
     encoder, said_of_it = WordEncoder(), wanted | more
     query = " ".join(sorted(wanted))
     feature = encoder.encode_texts([" ".join(sorted(said_of_it))])[0]
-    scores = np.array([feature @ encoder.encode_texts([query])[0]], np.float32)
-    rivals = np.array([feature @ encoder.encode_texts([f"{unwanted} {query}"])[0]], np.float32)
+    scores = np.float32([feature @ encoder.encode_texts([query])[0]])
+    rivals = np.float32([feature @ encoder.encode_texts([f"{unwanted} {query}"])[0]])
     left_out = without(scores, rivals)[0] == UNSELECTED_COSINE
     assert left_out == (unwanted in said_of_it)
 
 
 def test_without_keeps_what_fits_better_than_every_rival():
-    scores, rivals = np.array([0.3, 0.3, 0.3], np.float32), np.array([0.2, 0.3, 0.4], np.float32)
-    assert_array_equal(without(scores, rivals), np.array([0.3, -1, -1], np.float32))
+    scores, rivals = np.float32([0.3, 0.3, 0.3]), np.float32([0.2, 0.3, 0.4])
+    assert_array_equal(without(scores, rivals), np.float32([0.3, -1, -1]))
 
 
 def test_queries_leave_out_what_is_not_meant():
@@ -128,7 +127,7 @@ def feature_at(field: LanguageField, gaussians: Gaussians, view: View, xy: tuple
 
 
 @pytest.fixture(scope="module")
-def clicked(story: Story) -> tuple[LanguageField, Gaussians, View]:
+def clicked(story) -> tuple[LanguageField, Gaussians, View]:
     return story.field, story.gaussians, story.views[4]
 
 

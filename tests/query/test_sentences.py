@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_array
 from test_objects_relations import THINGS, UP, room  # noqa: F401
 
-from drsplat import EncoderIdentity, Gaussians, Match, Query, Scene, View
+from drsplat import EncoderIdentity, Query, Scene, View
 from drsplat.field import build_field
 from drsplat.field.codes import Mixture
 from drsplat.field.evidence.evidence import Evidence, MaskIds
@@ -73,7 +73,7 @@ def test_what_is_not_understood_is_refused(said):
 
 
 @pytest.fixture(scope="module")
-def scene(room: tuple[Gaussians, dict[str, Match]]) -> Scene:  # noqa: F811
+def scene(room) -> Scene:  # noqa: F811
     """Each thing is called by the last word of its name but "chair below" and the like, which are chairs."""
     gaussians, _ = room
     things = list(THINGS)

@@ -23,7 +23,7 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def sketch(scene: Scene) -> Sketch:
+def sketch(scene) -> Sketch:
     return sketch_of(scene)
 
 
@@ -55,7 +55,7 @@ def test_names_that_people_gave_are_meant_exactly(scene, sketch):
 
 def test_what_has_few_gaussians_that_can_be_seen_is_no_match(scene, sketch):
     for solid, found in ((40, True), (39, False)):
-        few = replace(sketch, solid=np.array([solid, 500, 500], np.int32))
+        few = replace(sketch, solid=np.int32([solid, 500, 500]))
         assert sketched(scene, few).answers(Query("red mug")).tolist() == [found, False, False]
 
 
@@ -82,11 +82,11 @@ def test_bytes_and_back(sketch):
     [
         ("counts", None),
         ("counts", np.array([2**30] * 3, np.int32)),
-        ("counts", np.array([0, 1, 1], np.int32)),
+        ("counts", np.int32([0, 1, 1])),
         ("counts", np.ones(3, np.int64)),
         ("counts", np.ones(2, np.int32)),
-        ("numbers", np.array([0, 1, 3], np.int32)),
-        ("numbers", np.array([0, 1, -2], np.int32)),
+        ("numbers", np.int32([0, 1, 3])),
+        ("numbers", np.int32([0, 1, -2])),
         ("solid", np.ones(2, np.int32)),
         ("solid", np.ones((3, 1), np.int32)),
         ("labels", None),
@@ -129,7 +129,7 @@ def test_other_bytes_are_refused(data):
 def test_copies_are_searched_as_any_code():
     rng = np.random.default_rng(0)
     vectors, queries = rng.standard_normal((4, 8)).astype(np.float32), rng.standard_normal((3, 8)).astype(np.float32)
-    code = _Copies(Packed.of(vectors / 4), np.array([2, 0, 0, 3, 1], np.int32))
+    code = _Copies(Packed.of(vectors / 4), np.int32([2, 0, 0, 3, 1]))
     every = code.decode(np.arange(5)) @ queries.T
     assert_allclose(code.scores(queries), every.T, rtol=1e-5)
     best = code.best(queries)

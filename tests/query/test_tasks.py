@@ -31,7 +31,7 @@ def boxes_scene(
     turned = local if turn is None else turn.apply(local.reshape(-1, 3)).reshape(local.shape)
     points = (turned + np.array(centers)[:, None]).reshape(-1, 3)
     n = len(points)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
     scales = np.full((n, 3), 0.002, np.float32)
     scene = Gaussians(
         points.astype(np.float32), quats, scales, np.full(n, 0.8, np.float32), np.zeros((n, 1, 3), np.float32)
@@ -112,7 +112,7 @@ def test_locate_moves_with_the_scene():
     points = (turn.apply(scene.means) + shift).astype(np.float32)
     moved = Gaussians(points, scene.quats, scene.scales, scene.opacities, scene.sh)
 
-    def of(gaussians: Gaussians) -> Answer:
+    def of(gaussians):
         field = field_of(gaussians, labels)
         return Answer.of(field, field.scores(unit(0)), 0.5)
 
@@ -202,12 +202,12 @@ def places(*things: tuple[int, float]) -> tuple[Gaussians, Answer]:
     rng = default_rng(0)
     labels = np.repeat(np.arange(len(things)), [count for count, _ in things])
     points = rng.uniform(-0.1, 0.1, (len(labels), 3)) + np.array([2.0, 0, 0]) * labels[:, None]
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (len(labels), 1))
+    quats = np.tile(np.float32([1, 0, 0, 0]), (len(labels), 1))
     scales, opacities = np.full((len(labels), 3), 0.01, np.float32), np.full(len(labels), 0.5, np.float32)
     sh = np.zeros((len(labels), 1, 3), np.float32)
     scene = Gaussians(points.astype(np.float32), quats, scales, opacities, sh)
     field = field_of(scene, labels)
-    return scene, Answer.of(field, np.array([value for _, value in things], np.float32)[labels], -1.0)
+    return scene, Answer.of(field, np.float32([value for _, value in things])[labels], -1.0)
 
 
 def test_a_splinter_does_not_come_before_the_thing_that_it_is_of():
@@ -239,7 +239,7 @@ def test_parts_that_touch_are_counted_once():
     centers = [(0.0, 0, 0), (0.0, 0, 0.1), (0.4, 0, 0), (3.0, 0, 0), (3.4, 0, 0)]
     scene, labels = boxes_scene(centers)
     field = field_of(scene, labels)
-    values = np.array([0.9, 0.85, 0.6, 0.92, 0.88], np.float32)[labels]
+    values = np.float32([0.9, 0.85, 0.6, 0.92, 0.88])[labels]
     one = locate(Answer.of(field, values, 0.5), scene)
     assert len(one) == 2
     matches = [

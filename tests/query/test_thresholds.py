@@ -63,7 +63,7 @@ def test_small_groups_are_found_by_the_peak():
     scores = two_groups(many=100_000, few=60, noise=0.03, high=0.35)
     thing = np.arange(len(scores)) >= 100_000
 
-    def iou(threshold: float) -> float:
+    def iou(threshold):
         return float(((scores > threshold) & thing).sum() / ((scores > threshold) | thing).sum())
 
     assert iou(automatic_threshold(scores)) > 0.8

@@ -1,7 +1,6 @@
 """Objects in the viewer, without a browser: clicked, made smaller and larger, coloured and named."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ FIRST, SECOND, THIRD, PAIR = 2, 3, 4, 5  # nodes; 0 and 1 are parts of the first
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Session:
+def session(tmp_path) -> Session:
     field, gaussians = with_objects()
     return Session(Scene(field, gaussians, labels=LabelFile.beside(tmp_path / "a.field")))
 
@@ -49,7 +48,7 @@ def worded() -> Session:
     scene = boxes_scene()
     thing, half = np.divmod(scene.field.gaussian_ids.astype(np.int64), 300)
     node_of = np.where(thing == 0, half // 150, thing + 2).astype(np.int32)
-    parents, levels = np.array([2, 2, -1, -1, -1], np.int32), np.array([0, 0, 1, 1, 1], np.uint8)
+    parents, levels = np.int32([2, 2, -1, -1, -1]), np.uint8([0, 0, 1, 1, 1])
     found = describe(scene.field, scene.gaussians, Tree(node_of, parents, levels, np.ones(5, np.float32)))
     return Session(Scene(scene.field.with_objects(found), scene.gaussians, scene.views, scene.encoder), words=THINGS)
 
@@ -133,7 +132,7 @@ def test_smaller_and_larger_go_the_way_of_the_click(session):
 def test_where_the_way_ends_the_heaviest_part_is_smaller(session):
     objects = session.scene.field.objects
     assert objects is not None
-    heavy = replace(objects, masses=np.array([1, 2, 9, 8, 7, 6], np.float32))
+    heavy = replace(objects, masses=np.float32([1, 2, 9, 8, 7, 6]))
     smaller = Chosen((FIRST, PAIR), 0).smaller(heavy)
     assert smaller == Chosen((1, FIRST, PAIR), 0)
     assert smaller.larger() == Chosen((1, FIRST, PAIR), 1)

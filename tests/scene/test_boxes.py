@@ -42,7 +42,7 @@ def shell(size=SIZE, turn: float = 0.0, count: int = 4000, seed: int = 0) -> Gau
     x, y, z, w = about.as_quat()
     return Gaussians(
         about.apply(points * size).astype(np.float32),
-        np.tile(np.array([w, x, y, z], np.float32), (count, 1)),
+        np.tile(np.float32([w, x, y, z]), (count, 1)),
         scales.astype(np.float32),
         rng.uniform(0.3, 1, count).astype(np.float32),
         np.zeros((count, 1, 3), np.float32),
@@ -68,8 +68,8 @@ def test_a_cuboid_is_found_whichever_way_it_is_turned(turn):
 
 def test_a_flat_thing_has_the_size_of_its_gaussians():
     """Of one large Gaussian in the middle the centres know nothing."""
-    one = replace(random_gaussians(1), scales=np.array([[0.5, 0.2, 0.01]], np.float32))
-    one = replace(one, quats=np.array([[1, 0, 0, 0]], np.float32))
+    one = replace(random_gaussians(1), scales=np.float32([[0.5, 0.2, 0.01]]))
+    one = replace(one, quats=np.float32([[1, 0, 0, 0]]))
     expected = 2 * ndtri(1 - 0.003) * one.scales[0]
     assert_allclose(everything(one).extent, expected, rtol=1e-5)
     assert_allclose(everything(one, None).extent[0], expected[0], rtol=1e-5)
@@ -91,7 +91,7 @@ def test_a_tail_goes_where_it_is_sparse_and_light():
     """To 101 points a hundredth apart, one more is a tail of 1 % of the mass, worth 8 % of the length."""
     row = np.linspace(0, 1, 101)
 
-    def core_with(tail: list[float], weight: float = 1.0) -> tuple[float, float]:
+    def core_with(tail, weight=1.0):
         mass = np.append(np.ones(101), np.full(len(tail), weight))
         return core(np.append(row, tail), mass / mass.sum())
 

@@ -59,7 +59,7 @@ def test_any_crop_is_that_of_the_reference(data):
     image = rng.integers(0, 256, (height, width, 3), np.uint8)
     part = rng.random((y1 - y0, x1 - x0)) < 0.5
     part[-1, -1] = True
-    box = np.array([x0, y0, x1, y1], np.int32)
+    box = np.int32([x0, y0, x1, y1])
     assert_array_equal(crop(image, part, box), by_hand(image, part, (x0, y0, x1, y1)))
 
 

@@ -19,7 +19,7 @@ def ball(*centers: tuple[float, float, float], opacity: float = 0.3, size: float
     n = len(centers)
     return Gaussians(
         np.array(centers, np.float32).reshape(n, 3),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
         np.full((n, 3), size, np.float32),
         np.full(n, opacity, np.float32),
         np.arange(3 * n, dtype=np.float32).reshape(n, 1, 3) / 10,
@@ -45,8 +45,8 @@ def test_two_apart_become_one_stretched_between_them():
 
 
 def test_the_heavier_weighs_more():
-    pair = replace(ball((0, 0, 0), (1, 0, 0)), opacities=np.array([0.9, 0.1], np.float32))
-    pair = replace(pair, extra={"object_id": np.array([7, 8], np.int32)})
+    pair = replace(ball((0, 0, 0), (1, 0, 0)), opacities=np.float32([0.9, 0.1]))
+    pair = replace(pair, extra={"object_id": np.int32([7, 8])})
     one = merged(pair, np.array([0, 0]))
     assert_allclose(one.means, [[0.1, 0, 0]], rtol=1e-5)
     assert_allclose(one.covariances()[0, 0], 0.01 + 0.9 * 0.1, rtol=1e-5)
@@ -106,7 +106,7 @@ def test_merging_keeps_a_picture_better_than_leaving_out():
     view = look_at_view([0.0, 0.0, -8.0], width=80, height=60)
     heavy = np.sort(np.argsort(-masses_of(scene))[:150])
 
-    def error(fewer: Gaussians) -> float:
+    def error(fewer):
         return float(((render(fewer, view).rgb - render(scene, view).rgb) ** 2).mean())
 
     assert error(coarser(scene, 150).gaussians) < error(scene.subset(heavy))

@@ -39,8 +39,8 @@ def test_between_frames_means_go_straight(time):
 def test_a_rotation_goes_the_shorter_way_and_stays_a_rotation():
     gaussians = random_gaussians(3)
     half = np.sqrt(0.5)
-    one = replace(gaussians, quats=np.array([[1, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]], np.float32))
-    other = replace(gaussians, quats=np.array([[half, 0, 0, half], [-1, 0, 0, 0], [0, 1, 0, 0]], np.float32))
+    one = replace(gaussians, quats=np.float32([[1, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]]))
+    other = replace(gaussians, quats=np.float32([[half, 0, 0, half], [-1, 0, 0, 0], [0, 1, 0, 0]]))
     middle = between(one, other, 0.5).quats
     eighth = np.pi / 8  # half of a quarter turn; a quaternion has half of the angle
     assert np.allclose(middle[0], [np.cos(eighth), 0, 0, np.sin(eighth)], atol=1e-6)
@@ -60,7 +60,7 @@ def test_a_frame_has_the_rows_and_the_fingerprint_of_the_canonical_scene():
 def test_two_frames_are_held_and_no_more():
     gaussians, read = random_gaussians(5), []
 
-    def frame(number: int) -> Gaussians:
+    def frame(number):
         read.append(number)
         return gaussians
 

@@ -121,7 +121,7 @@ def test_a_bent_line_becomes_straight(tmp_path):
     brightness = 255 * np.exp(-(((back[..., 1] - 40) / 2.0) ** 2))
     saved(view.image_path, np.repeat(np.nan_to_num(brightness)[..., None], 3, -1).astype(np.uint8))
 
-    def ridge(pixels: np.ndarray) -> np.ndarray:
+    def ridge(pixels):
         weights = pixels[:70, 12:-12, 0].astype(float) ** 2
         return (weights * (np.arange(70)[:, None] + 0.5)).sum(0) / weights.sum(0)
 

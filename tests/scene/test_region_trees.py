@@ -73,6 +73,6 @@ def test_specks_and_whole_photos_are_no_candidates(monkeypatch):
     monkeypatch.undo()
     labels = np.zeros((100, 100), np.int32)
     labels[:, 50:], labels[0, :3] = 1, 2
-    pairs, touching = np.array([[0, 2], [3, 1]], np.int32), np.array([[0, 1], [0, 2]], np.int32)
+    pairs, touching = np.int32([[0, 2], [3, 1]]), np.int32([[0, 1], [0, 2]])
     tree = RegionTree(labels, pairs, touching, np.ones(2), np.ones(2))
     assert [set(row.nonzero()[0].tolist()) for row in tree.candidates().toarray()] == [{0}, {1}, {0, 2}]

@@ -12,13 +12,15 @@ import resource
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zstandard
+
+from drsplat.errors import DrSplatError
 
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 NUMBERS = (b"0", b"1", b"-1", b"255", b"256", b"4294967295", b"9223372036854775807", b"1e9", b"nan", b"inf")
@@ -35,6 +37,19 @@ def mutants(data: bytes, rng: np.random.Generator, count: int) -> Iterator[bytes
         for _ in range(1 + int(rng.random() < 0.3)):
             damaged = MUTATIONS[rng.integers(len(MUTATIONS))](damaged, rng)
         yield damaged
+
+
+def survivors(path: Path, read: Callable[[Path], object], rng: np.random.Generator, count: int) -> int:
+    """How many of so many damaged versions of a file are read; anything but our own errors fails the test."""
+    good, survived = path.read_bytes(), 0
+    read(path)
+    for mutant in mutants(good, rng, count):
+        path.write_bytes(mutant)
+        with suppress(DrSplatError):
+            read(path)
+            survived += 1
+    path.write_bytes(good)
+    return survived
 
 
 def truncate(data: bytes, rng: np.random.Generator) -> bytes:

@@ -379,7 +379,7 @@ def test_photos_that_do_not_fit_are_sent_each_time(views, points, room):
     """Whatever fits into a quarter of what is free: the losses are the same to the bit."""
 
     class Tight(CpuEngine):
-        def free_bytes(self) -> int:
+        def free_bytes(self):
             return 4 * room
 
     run = fresh_run(DeviceRun, views, points, BUSY, engine=Tight(compiled()))
@@ -392,7 +392,7 @@ def test_photos_that_do_not_fit_are_sent_each_time(views, points, room):
 @pytest.mark.slow
 def test_the_whole_of_train(cuda_engine_on_cpu, views, points, tmp_path):
     s = replace(BUSY, iterations=14, background="black", reset_every=1000, start_opacity=0.5, scales_rate=0.02)
-    reports: list[ds.Status] = []
+    reports = []
     folder = tmp_path / "model"
     job = Job(views, s, folder, points, save_at=(10,), report=reports.append)
     training = device_run.train(job, cuda_engine_on_cpu)
@@ -464,11 +464,11 @@ def test_a_gpu_without_room_for_the_start_says_so(views, points):
 
 
 @pytest.fixture
-def machine(monkeypatch: pytest.MonkeyPatch):
+def machine(monkeypatch):
     """One that has all, of which tests take away; what is remembered of this machine is forgotten meanwhile."""
     parts = SimpleNamespace(cupy=True, gpus=1, fault=None)
 
-    def count() -> int:
+    def count():
         if parts.fault is not None:
             raise parts.fault
         return parts.gpus

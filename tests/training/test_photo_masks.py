@@ -12,6 +12,7 @@ from PIL import Image
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
+from command_line import answer_of
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, MismatchError
 from drsplat.formats.langsplat import read_features
@@ -164,7 +165,7 @@ def test_photos_that_are_left_out_as_a_whole_are_named(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def crowded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[ds.View], ds.Gaussians]:
+def crowded(tmp_path_factory) -> tuple[Path, list[ds.View], ds.Gaussians]:
     """A capture whose photos to train on show a person, with masks; the views held out are clean."""
     folder = tmp_path_factory.mktemp("crowded")
     scene, views = capture_of(folder, 16)
@@ -309,7 +310,7 @@ def test_training_names_a_damaged_mask(crowded, tmp_path, capsys):
 
 
 @pytest.fixture
-def toy(tmp_path: Path) -> tuple[Path, ds.Gaussians, list[ds.View], object]:
+def toy(tmp_path) -> tuple[Path, ds.Gaussians, list[ds.View], object]:
     folder = write_toy_capture(tmp_path)
     scene = ds.read_gaussians(folder / "scene.ply")
     features = read_features(folder / "capture/language_features")
@@ -372,16 +373,13 @@ def test_verbs_read_masks_and_invert_them(toy, capsys):
     line = ["register", str(folder / "scene.ply"), str(capture), "--features", str(capture / "language_features")]
     counts = []
     for extra in ([], ["--invert-masks"], ["--without", str(folder / "out.txt")]):
-        assert main([*line, "-o", str(folder / f"{len(counts)}.field"), "--json", *extra]) == 0
-        counts.append(json.loads(capsys.readouterr().out)["num_weights"])
+        counts.append(answer_of(capsys, *line, "-o", folder / f"{len(counts)}.field", *extra)["num_weights"])
     capture.joinpath("masks", views[0].name).unlink()
     capture.joinpath("masks").rmdir()
-    assert main([*line, "-o", str(folder / "all.field"), "--json"]) == 0
-    everything = json.loads(capsys.readouterr().out)["num_weights"]
+    everything = answer_of(capsys, *line, "-o", folder / "all.field")["num_weights"]
     assert counts[2] < counts[0] < everything
     assert counts[2] < counts[1] < everything
-    assert main(["inspect", str(capture), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["num_masked"] == 0
+    assert answer_of(capsys, "inspect", capture)["num_masked"] == 0
     add = ["add", str(folder / "2.field"), str(capture), "--features", str(capture / "language_features")]
     save(capture / "masks" / views[0].name, half)
     assert main([*add, "--scene", str(folder / "scene.ply"), "--views", views[0].name, "--json"]) == 0
@@ -401,7 +399,7 @@ def test_masks_lose_what_is_left_out_and_go_where_little_is_left():
     kept = np.ones((10, 10), bool)
     kept[:, 0] = False
     kept[3, 1] = False
-    levels = kept_masks({"large": cut_masks(full, np.array([0.9, 0.8, 0.7], np.float32))}, kept)
+    levels = kept_masks({"large": cut_masks(full, np.float32([0.9, 0.8, 0.7]))}, kept)
     masks = levels["large"]
     assert masks.scores.tolist() == pytest.approx([0.9, 0.8])
     assert np.array_equal(masks.full(0), full[0] & kept)

@@ -3,6 +3,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from PIL import Image
 
 import drsplat as ds
 from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
+from command_line import answer_of
 from drsplat.cli import main
 from drsplat.errors import FormatError, InputError, MismatchError, MissingExtraError
 from drsplat.formats.captures import SparsePoints, read_sparse_points
@@ -143,7 +145,7 @@ def test_an_antialiased_run_writes_a_scene_that_looks_as_it_was_measured(views, 
     assert training.gaussians.antialiased
     assert scene.antialiased
 
-    def psnr(gaussians: ds.Gaussians) -> float:
+    def psnr(gaussians):
         drawn = np.clip(ds.render(gaussians, views[8]).rgb, 0, 1)
         photo = np.asarray(Image.open(views[8].image_path), np.float32) / 255
         return float(-10 * np.log10(np.mean((drawn - photo) ** 2)))
@@ -239,7 +241,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, tmp_path):
     assert texts["iteration"] == "70"
     leftover = tmp_path / "killed/.0123456789abcdef.tmp"
     leftover.write_bytes(b"half")
-    seen: list[int] = []
+    seen = []
     train(views[::2], settings, tmp_path / "killed", report=lambda status: seen.append(status.iteration))
     assert seen == list(range(71, 121))
     assert ply_of(tmp_path / "killed") == ply_of(tmp_path / "whole")
@@ -262,8 +264,20 @@ def unfinished(folder: Path, views: list[ds.View]) -> Path:
     return folder / "checkpoint.safetensors"
 
 
-def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views)
+@pytest.fixture(scope="module")
+def stopped(views, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("stopped")
+    unfinished(folder, views)
+    return folder
+
+
+@pytest.fixture
+def checkpoint(stopped, tmp_path) -> Path:
+    """That of a copy of the stopped run, in tmp_path / "model"."""
+    return Path(shutil.copytree(stopped, tmp_path / "model")) / "checkpoint.safetensors"
+
+
+def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, checkpoint, tmp_path):
     before = checkpoint.read_bytes()
     with pytest.raises(MismatchError, match=r"other settings \(seed\):.*overwrite=True"):
         train(views, replace(BUSY, seed=1), tmp_path / "model")
@@ -303,8 +317,7 @@ def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> N
 @pytest.mark.parametrize(
     "how", ["rows", "axis", "view", "beyond", "missing", "type", "version", "rng", "iteration", "cut"]
 )
-def test_a_damaged_checkpoint_is_refused(how, views, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views)
+def test_a_damaged_checkpoint_is_refused(how, views, checkpoint, tmp_path):
     if how == "cut":
         checkpoint.write_bytes(checkpoint.read_bytes()[:-8])
     else:
@@ -317,8 +330,7 @@ def test_a_damaged_checkpoint_is_refused(how, views, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, tmp_path):
-    checkpoint = unfinished(tmp_path / "model", views)
+def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, checkpoint, tmp_path):
     good = checkpoint.read_bytes()
     for at in np.random.default_rng(0).integers(8, len(good), 24):
         bad = bytearray(good)
@@ -378,9 +390,7 @@ def test_other_failures_to_write_stay_what_they_are(tmp_path):
 
 
 def run_verb(capsys, *arguments: str) -> dict[str, object]:
-    assert main(["train", *arguments, "--device", "cpu", "--json"]) == 0
-    answer: dict[str, object] = json.loads(capsys.readouterr().out)
-    return answer
+    return answer_of(capsys, "train", *arguments, "--device", "cpu")
 
 
 def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
@@ -496,7 +506,7 @@ def scenes_of(folder: Path) -> dict[str, bytes]:
 def test_a_run_killed_before_its_first_checkpoint_goes_on(views, tmp_path, monkeypatch):
     """Also after --save-at has written a scene."""
 
-    def killed(status: ds.training.Status) -> None:
+    def killed(status):
         if status.iteration == 12:
             raise RuntimeError("killed")
 
@@ -588,9 +598,9 @@ def test_ctrl_c_writes_a_checkpoint_and_says_how_to_go_on(capture, tmp_path):
 
 def test_two_runs_do_not_share_a_folder(views, tmp_path):
     few = replace(BUSY, iterations=3)
-    said: list[str] = []
+    said = []
 
-    def second(status: ds.training.Status) -> None:
+    def second(status):
         with pytest.raises(InputError) as error:
             train(views[::4], few, tmp_path, overwrite=True)
         said.append(str(error.value))
@@ -623,7 +633,7 @@ def test_points_move_with_their_views(capture, tmp_path):
     plain, moved = (read_sparse_points(capture), read_sparse_points(capture, dataparser_transforms=file))
     view, there = ds.read_views(capture)[0], ds.read_views(capture, dataparser_transforms=file)[0]
 
-    def pixels(view: ds.View, positions: np.ndarray) -> np.ndarray:
+    def pixels(view, positions):
         seen = positions @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
         return (seen / seen[:, 2:]) @ view.K.T
 

@@ -174,7 +174,7 @@ def test_the_command_knows_the_everyday_iterations():
 def test_a_coarser_photo_has_means_of_pixels_and_uses_none_that_has_a_part_of_an_unused_one():
     pixels = np.zeros((4, 6, 3), np.uint8)
     pixels[:2, :2, 0] = [[10, 20], [30, 40]]
-    outside = np.array([5], np.int32)  # top right
+    outside = np.int32([5])  # top right
     smaller = Photo(pixels, outside).smaller(3, 2)
     assert smaller.pixels[..., 0].tolist() == [[25, 0, 0], [0, 0, 0]]
     assert smaller.unused.tolist() == [2]
@@ -484,7 +484,7 @@ def test_sharing_a_place_keeps_the_picture(opacity, sharing):
     each, shrink = shared_place(np.array([opacity]), np.array([sharing]))
     assert 1 - (1 - each[0]) ** sharing == pytest.approx(opacity, rel=1e-9)
 
-    def blocked(x: float) -> float:
+    def blocked(x):
         return 1 - (1 - each[0] * math.exp(-0.5 * (x / shrink[0]) ** 2)) ** sharing
 
     along = integrate.quad(blocked, -30, 30, points=(-1, 0, 1), limit=200)[0]
@@ -546,7 +546,7 @@ def test_penalties_are_the_slopes_of_mean_opacity_and_mean_scale():
     before = slopes.logits.copy(), slopes.log_scales.copy()
     monte_carlo().penalize(optimizer, slopes)
 
-    def penalty(logits: np.ndarray, log_scales: np.ndarray) -> float:
+    def penalty(logits, log_scales):
         return 0.01 * (1 / (1 + np.exp(-logits))).mean() + 0.01 * np.exp(log_scales).mean()
 
     logits, log_scales = (
@@ -573,7 +573,7 @@ def test_photos_beyond_the_budget_are_read_again(tmp_path, monkeypatch):
     views, reads = circle(4, path=path), []
     from drsplat.training import training_photos
 
-    def counting(view: View) -> np.ndarray:
+    def counting(view):
         reads.append(view.name)
         return np.asarray(Image.open(path))
 

@@ -58,22 +58,22 @@ def scene() -> ds.Gaussians:
 
 
 @pytest.fixture(scope="module")
-def views(scene: ds.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> list[ds.View]:
+def views(scene, tmp_path_factory) -> list[ds.View]:
     return photographed(tmp_path_factory.mktemp("photos"), scene, ring(16))
 
 
 @pytest.fixture(scope="module")
-def points(scene: ds.Gaussians) -> SparsePoints:
+def points(scene) -> SparsePoints:
     return perturbed_points(scene)
 
 
 @pytest.fixture(scope="module")
-def visited(views: list[ds.View], tmp_path_factory: pytest.TempPathFactory) -> list[ds.View]:
+def visited(views, tmp_path_factory) -> list[ds.View]:
     return changed(views, tmp_path_factory.mktemp("visited"), dict.fromkeys(VISITED, with_cloth))
 
 
 @pytest.fixture(scope="module")
-def marked(visited: list[ds.View], scene: ds.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> list[ds.View]:
+def marked(visited, scene, tmp_path_factory) -> list[ds.View]:
     return without_transients(visited, scene, tmp_path_factory.mktemp("marked"), threads=3)
 
 
@@ -187,7 +187,7 @@ def masks_in(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def trained(visited, points, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+def trained(visited, points, tmp_path_factory) -> tuple[Path, Any]:
     folder = tmp_path_factory.mktemp("trained") / "m"
     return folder, ds.train(visited, everyday_of(visited), folder, points=points, device="cpu")
 
@@ -218,7 +218,7 @@ def test_a_run_that_is_killed_before_or_after_goes_on_to_the_same_bits(visited, 
     settings, (folder, whole) = everyday_of(visited), trained
     assert settings.transients_at == 150
 
-    def stop(status: object) -> None:
+    def stop(status):
         if status.iteration == at:
             raise KeyboardInterrupt
 

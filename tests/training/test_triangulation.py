@@ -236,7 +236,7 @@ def test_a_photo_with_two_keypoints_in_a_track_leaves_it():
 
 
 def test_the_nearest_is_clearly_nearer_than_the_second():
-    squares = np.array([[1.0, 9, 9, 9], [9, 4, 6, 9], [0, 9, 9, 25]], np.float32)
+    squares = np.float32([[1.0, 9, 9, 9], [9, 4, 6, 9], [0, 9, 9, 25]])
     assert_array_equal(_nearest(squares), [0, -1, 0])
     assert_array_equal(_nearest(squares.T), [2, 1, -1, -1])
 
