@@ -301,7 +301,7 @@ def _read_objects(path: Path, manifest: dict[str, object], field: StoredField) -
     file = _tied(path, OBJECTS, manifest)
     check_tensors(file.tensors, ARRAYS, str(file.path))
     try:
-        objects = Objects(**{name: file.tensors[name] for name in ARRAYS})
+        objects = Objects(**{name: file.tensors[name] for name in ARRAYS}, votes=file.metadata.get("votes", ""))
         evidence = field.__dict__["evidence"]
         objects.check_field(len(field), field.encoder.dim, (None if evidence is None else len(evidence.masks)))
     except InputError as error:

@@ -23,7 +23,7 @@ from ...scene.gaussians import Gaussians
 from .. import LanguageField
 from ..evidence.aggregation.entries import row_chunks
 from ..evidence.evidence import Evidence
-from ..forest import MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
+from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
 from .choosing import Tree, pairs_above
 
 ROWS_AT_ONCE = 1 << 20
@@ -68,6 +68,24 @@ def node_weights(evidence: Evidence, tree: Tree) -> csr_array:
     return _weights(evidence, _inside(tree.parents), tree.node_of)
 
 
+def joined(before: LanguageField, after: LanguageField, gaussians: Gaussians, *, threads: int = 0) -> Objects:
+    """Return the objects of a field for the same field with more photos: the same nodes, as all photos show them.
+
+    Gaussians that no photo showed before are in none. Raises: as `describe`; InputError: the first has no objects.
+    """
+    if before.objects is None:
+        raise InputError("expected a field with objects")
+    old = before.objects
+    tree = Tree(_kept_nodes(before, after), old.parents, old.levels, old.sure)
+    return replace(describe(after, gaussians, tree, threads=threads), votes=JOINED if old.votes else "")
+
+
+def _kept_nodes(before: LanguageField, after: LanguageField) -> Int32[np.ndarray, " R"]:
+    rows = before.rows_of(after.gaussian_ids)
+    assert before.objects is not None
+    return np.where(rows < 0, np.int32(-1), before.objects.node_of[rows])
+
+
 def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 0) -> Objects:
     """Return the objects of a field for one made of some of its photos (`field_during`).
 
@@ -77,8 +95,7 @@ def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 
     """
     if whole.objects is None or some.evidence is None:
         raise InputError("expected a field with objects, and one with evidence")
-    objects, rows = whole.objects, whole.rows_of(some.gaussian_ids)
-    node_of = np.where(rows < 0, np.int32(-1), objects.node_of[rows])
+    objects, node_of = whole.objects, _kept_nodes(whole, some)
     weights = _weights(some.evidence, _inside(objects.parents), node_of)
     starts, vectors = descriptors(_exclusive(weights, some.evidence), some.evidence.embeddings, threads=threads)
     return replace(objects, node_of=node_of, descriptor_starts=starts, descriptors=vectors)

@@ -35,6 +35,7 @@ class Options(Verb):
 def run(options: Options) -> Facts:
     from ...field.growing import change_field, remove_views
     from ...field.growing.naming import views_named
+    from ...photos.embedding.voting import voter
 
     path, gaussians = field_and_scene(options.of)
 
@@ -44,7 +45,8 @@ def run(options: Options) -> Facts:
         names = views_named(options.views, [*known, *before])
         return remove_views(field, gaussians, names, threads=options.threads, track=options.track)
 
-    return answer_of(change_field(path, gaussians, change, threads=options.threads), path)
+    vote = voter(path, gaussians, threads=options.threads, track=options.track)
+    return answer_of(change_field(path, gaussians, change, vote=vote, threads=options.threads), path)
 
 
 def show(answer: Facts) -> None:

@@ -13,6 +13,7 @@ from ...scene.masks.features import ViewFeatures
 from ...scene.moving import Moving
 from ...scene.views import View
 from .embed import recorded_words
+from .voting import voter
 
 
 def grow_field(
@@ -41,7 +42,8 @@ def grow_field(
         )
         return done if done.is_empty else replace(done, field=with_words(done.field, folder))
 
-    done = change_field(path, scene, change, threads=threads)
+    vote = voter(path, scene, views, threads=threads, track=track)
+    done = change_field(path, scene, change, vote=vote, threads=threads)
     remove_parts(parts, [*done.added, *done.replaced, *done.unchanged])
     return done
 
