@@ -19,7 +19,7 @@ from drsplat.field.objects.finding import find_objects
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.photos.embedding import objects_first
 from drsplat.photos.embedding.growing import grow_field
-from drsplat.photos.embedding.voting import vote_for_objects, voter, votes_beside
+from drsplat.photos.embedding.voting import vote_for_objects, votes_beside
 from drsplat.photos.models.outlines import region_tree
 from drsplat.photos.models.outlines.regions import basins
 from drsplat.scene.masks.masks import LEVELS
@@ -149,6 +149,10 @@ def voted_at(path: Path, scene, photos, features) -> Path:
     return path
 
 
+def again(path: Path, scene):
+    return lambda field: vote_for_objects(field, scene, (), kept=votes_beside(path))
+
+
 def others_than(one: Path, two: Path) -> set[str]:
     assert files_of(one).keys() == files_of(two).keys()
     return {name for name, content in files_of(one).items() if content != files_of(two)[name]}
@@ -190,7 +194,7 @@ def test_photos_are_added_to_and_taken_from_voted_objects(scene, photos, feature
     assert [*change.seconds][-4:] == ["code", "joined", "objects", "save"]
     assert others_than(path, voted_at(tmp_path / "b.field", scene, photos, features)) == set()
     gone = [photos[0].name, photos[4].name]
-    change_field(path, scene, lambda field: remove_views(field, scene, gone), vote=voter(path, scene))
+    change_field(path, scene, lambda field: remove_views(field, scene, gone), vote=again(path, scene))
     fewer = voted_at(tmp_path / "c.field", scene, photos[1:4], features)
     assert others_than(path, fewer) == {"field.json"}  # which remembers those two
 
@@ -201,16 +205,11 @@ def test_votes_that_are_lost_are_told(scene, photos, features, tmp_path) -> None
         change_field(path, scene, lambda field: remove_views(field, scene, [photos[3].name]))
     path = voted_at(tmp_path / "b.field", scene, photos[:4], features)
     shutil.rmtree(votes_beside(path))
-    with pytest.warns(DrSplatWarning, match="4 photos have no votes for objects any more"):
+    with pytest.warns(DrSplatWarning, match="4 photos of the field do not vote"):
         grow_field(path, scene, photos[4:], features, tmp_path)
     shutil.rmtree(votes_beside(path))
-    with pytest.warns(DrSplatWarning, match="4 photos have no votes for objects any more"):
-        done = change_field(
-            path, scene, lambda field: remove_views(field, scene, [photos[0].name]), vote=voter(path, scene)
-        )
-    assert done.field.objects is not None
-    assert done.field.objects.votes == ""
-    assert len(done.field.objects) == 5
+    with pytest.raises(InputError, match="give its photos, or find its objects again without votes"):
+        change_field(path, scene, lambda field: remove_views(field, scene, [photos[0].name]), vote=again(path, scene))
 
 
 # --- masks of what was voted for ------------------------------------------------------------------

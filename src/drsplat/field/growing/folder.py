@@ -38,8 +38,9 @@ def change_field(
     A run that is killed leaves the old field or the new one, and the same command can be given again. Labels of
     objects are beside the field and stay.
 
-    vote: finds objects for which photos vote (`photos.embedding.voting.voter`). Photos that are added join those that
-    there are first, and can be asked for while these are made again; the seconds of both are in the result.
+    vote: finds objects where photos voted for those there are (`photos.embedding.voting.vote_for_objects`). Photos
+    that are added join the old ones first, which can be asked for while they are made again; the seconds of both are in
+    the result.
 
     Warns: DrSplatWarning: photos voted for the objects, and there is no `vote`.
     Raises: InputError: another process writes this field, there is none, the disk is full; as `change`.
@@ -55,18 +56,17 @@ def change_field(
         if not done.is_empty or (objects is not None and objects.votes == JOINED):
             watch = Stopwatch()
             new = done.field
-            if objects is not None and objects.votes and vote is not None:
-                if done.added and not done.replaced:
-                    new = new.with_objects(joined(field, new, canonical_of(scene), threads=threads))
-                    new.save(path, overwrite=True)
-                    watch.lap("joined")
-                new = new.with_objects(vote(new))
-                watch.lap("objects")
-            elif objects is not None:
-                if objects.votes:
+            if objects is not None:
+                gaussians = canonical_of(scene)
+                if objects.votes and vote is None:
                     text = "photos voted for the objects, which are found again without votes: let them vote again"
                     warn(text, DrSplatWarning, stacklevel=2)
-                new = new.with_objects(find_objects(new, canonical_of(scene), threads=threads))
+                elif objects.votes and done.added and not done.replaced:
+                    new = new.with_objects(joined(field, new, gaussians, threads=threads))
+                    new.save(path, overwrite=True)
+                    watch.lap("joined")
+                votes = vote if objects.votes else None
+                new = new.with_objects(votes(new) if votes else find_objects(new, gaussians, threads=threads))
                 watch.lap("objects")
             new.save(path, overwrite=True)
             watch.lap("save")

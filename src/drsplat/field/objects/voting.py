@@ -29,6 +29,7 @@ LARGE_SHARE = 0.1  # of a set: pieces of so much may not be worth more than all 
 MAX_SHARE = 0.35  # of all weight: what is more is the room
 WORTH_DECIMALS = 6  # the last bits of sums depend on the processor
 MAX_FRAMED = 0.05  # of the border of a set: what photos cut off is a surface
+Set = tuple[int, ...]
 
 
 class Vote(NamedTuple):
@@ -60,7 +61,8 @@ def with_voted(tree: Tree, votes: Votes) -> Tree:
     if not sets:
         return tree
     alone = [(thing,) for thing in range(len(things))]
-    pieces, found = (worth_of(_membership(some, len(things)), tree, things, votes) for some in (alone, sets))
+    both = worth_of(_membership([*alone, *sets], len(things)), tree, things, votes)
+    pieces, found = (Worth(*(values[part] for values in both)) for part in (np.s_[: len(alone)], np.s_[len(alone) :]))
     return with_joined(tree, _chosen(sets, found, pieces, seen.sum(0)))
 
 
@@ -100,11 +102,9 @@ def _said(own: csr_array, vote: Vote) -> tuple[np.ndarray, ...]:
     return seen, fits.max(1), vote.tree.outlines(candidates)[best], vote.tree.framed(candidates)[best]
 
 
-def _proposed(
-    tree: Tree, things: Int64[np.ndarray, " t"], seen: Float64[np.ndarray, "v t"], votes: Votes
-) -> list[tuple[int, ...]]:
+def _proposed(tree: Tree, things: Int64[np.ndarray, " t"], seen: Float64[np.ndarray, "v t"], votes: Votes) -> list[Set]:
     """Return the sets of two or more things that candidates of photos hold, those of most photos first."""
-    counts: Counter[tuple[int, ...]] = Counter()
+    counts: Counter[Set] = Counter()
     for here, vote in zip(seen, votes(), strict=True):
         counts.update(set(_proposals(_seen(tree, things, vote), here, here > MIN_SEEN_SHARE * seen.max(0), vote)))
     return sorted(counts, key=lambda one: (-counts[one], one))[:MAX_SETS]
@@ -112,7 +112,7 @@ def _proposed(
 
 def _proposals(
     own: csr_array, seen: Float64[np.ndarray, " t"], sees: Bool[np.ndarray, " t"], vote: Vote
-) -> Iterator[tuple[int, ...]]:
+) -> Iterator[Set]:
     candidates = vote.tree.candidates()
     shared = (own @ candidates.T).toarray()
     within = (shared > INSIDE_SHARE * seen[:, None]) & sees[:, None]
@@ -123,14 +123,12 @@ def _proposals(
         yield tuple(np.flatnonzero(within[:, column]).tolist())
 
 
-def _membership(sets: Sequence[tuple[int, ...]], count: int) -> csr_array:
+def _membership(sets: Sequence[Set], count: int) -> csr_array:
     rows = np.repeat(np.arange(len(sets)), [len(one) for one in sets])
     return csr_array((np.ones(len(rows), np.float32), (rows, np.concatenate(sets))), shape=(len(sets), count))
 
 
-def _chosen(
-    sets: list[tuple[int, ...]], found: Worth, pieces: Worth, weight: Float64[np.ndarray, " t"]
-) -> list[Joined]:
+def _chosen(sets: list[Set], found: Worth, pieces: Worth, weight: Float64[np.ndarray, " t"]) -> list[Joined]:
     """Return the disjoint sets that are one thing, those of most weight times gain first."""
     gains: list[tuple[float, int]] = []
     for number, (one, worth, framed) in enumerate(zip(sets, *found, strict=True)):

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ...field import LanguageField
@@ -10,10 +11,10 @@ from ...field.growing import Change, add_views, change_field
 from ...field.growing.folder import parts_beside, remove_parts
 from ...scene.gaussians import Gaussians
 from ...scene.masks.features import ViewFeatures
-from ...scene.moving import Moving
+from ...scene.moving import Moving, canonical_of
 from ...scene.views import View
 from .embed import recorded_words
-from .voting import voter
+from .voting import vote_for_objects, votes_beside
 
 
 def grow_field(
@@ -42,7 +43,10 @@ def grow_field(
         )
         return done if done.is_empty else replace(done, field=with_words(done.field, folder))
 
-    vote = voter(path, scene, views, threads=threads, track=track)
+    vote = partial(
+        vote_for_objects, gaussians=canonical_of(scene), views=views, kept=votes_beside(path), threads=threads,
+        track=track,
+    )  # fmt: skip
     done = change_field(path, scene, change, vote=vote, threads=threads)
     remove_parts(parts, [*done.added, *done.replaced, *done.unchanged])
     return done

@@ -5,7 +5,7 @@ objects are those of all at once.
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from ...field.evidence.aggregation import Sampling
 from ...field.evidence.columns import ColumnMaker, Columns, is_finished, part_name, scenery_of
 from ...field.forest import VOTED, Objects
 from ...field.objects.describing import describe
-from ...field.objects.finding import cameras_of, find_objects, find_tree
+from ...field.objects.finding import cameras_of, find_tree
 from ...field.objects.voting import Vote, with_voted
 from ...formats.checksums import hash_file
 from ...formats.photo_files import listed
@@ -29,7 +29,6 @@ from ...formats.tensors import read_tensors, write_tensors
 from ...scene.gaussians import Gaussians
 from ...scene.masks.features import ViewFeatures
 from ...scene.masks.region_tree import RegionTree
-from ...scene.moving import Moving
 from ...scene.photos import load_image
 from ...scene.views import View
 from ..models.outlines import identity, region_tree
@@ -61,6 +60,7 @@ def vote_for_objects(
         threads: 0 for all cores; the same bits at any number.
         track: shows the progress.
 
+    Warns: DrSplatWarning: photos of the field that do not vote.
     Raises: InputError: no evidence, a moving scene, or none of the field's photos is there. MismatchError: another
     scene. FormatError: a damaged photo.
     """
@@ -70,42 +70,18 @@ def vote_for_objects(
     photos = {view.name: view for view in views if view.image_path is not None}
     electorate = _Electorate(field, gaussians, Path(kept), threads)
     electorate.look([photos[name] for name in field.evidence.masks.view_names if name in photos], track)
+    silent = sorted({*field.evidence.masks.view_names} - {*electorate.names})
     if not electorate.names:
-        example = field.evidence.masks.view_names[0]
-        raise InputError(f"none of {len(photos)} photos is of this field, whose photos are named like '{example}'")
+        raise InputError(
+            f"none of {len(photos)} photos is of this field, whose photos are named like '{silent[0]}': give its photos"
+            ", or find its objects again without votes"
+        )
+    if silent:
+        text = f"{len(silent)} photos of the field do not vote, as they are neither given nor kept: {listed(silent)}"
+        warn(text, DrSplatWarning, stacklevel=2)
     found = find_tree(field.evidence, gaussians, field.gaussian_ids, cameras_of(field), threads=threads)
     voted = with_voted(found, electorate.votes)
     return replace(describe(field, gaussians, voted, threads=threads), votes=VOTED)
-
-
-def voter(
-    path: str | Path,
-    scene: Gaussians | Moving,
-    views: Sequence[View] = (),
-    *,
-    threads: int = 0,
-    track: Track = untracked,
-) -> Callable[[LanguageField], Objects]:
-    """Return what makes the objects of the field at `path` again after a change, with the votes of kept photos.
-
-    views: photos that are not kept yet, or may have changed. It warns (DrSplatWarning) of photos that cannot vote, and
-    where none can, objects are found without votes.
-    """
-
-    def vote(field: LanguageField) -> Objects:
-        assert isinstance(scene, Gaussians)
-        assert field.evidence is not None
-        kept = votes_beside(path)
-        there = {*_Electorate(field, scene, kept, threads).names, *(view.name for view in views if view.image_path)}
-        gone = [name for name in field.evidence.masks.view_names if name not in there]
-        if gone:
-            text = f"{len(gone)} photos have no votes for objects any more, as {kept} lacks them: {listed(gone)}"
-            warn(text, DrSplatWarning, stacklevel=3)
-        if len(gone) == len(field.evidence.masks.view_names):
-            return find_objects(field, scene, threads=threads)
-        return vote_for_objects(field, scene, views, kept=kept, threads=threads, track=track)
-
-    return vote
 
 
 class _Electorate:
