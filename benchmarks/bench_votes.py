@@ -133,12 +133,12 @@ def join(work: Path, threads: int) -> None:
     for part in ("columns", "regions"):
         (votes_beside(field) / part_name(name).replace("columns", part)).unlink()
     line[1:1] = [str(work / "capture"), "--features", str(work / "features"), "--json"]
-    told = subprocess.run([str(DRSPLAT), "add", *line], check=True, stdout=subprocess.PIPE).stdout
-    seconds = json.loads(told)["stage_seconds"]
-    at_once = sum(seconds[stage] for stage in ("load", "read", "register", "weights", "code", "joined"))
+    cost = cost_of([str(DRSPLAT), "add", *line])
+    seconds = json.loads(cost.output)["stage_seconds"]
+    joined = sum(seconds[stage] for stage in ("load", "read", "register", "weights", "code", "joined"))
     behind = seconds["objects"] + seconds["save"]
     print(
-        f"a photo more: {at_once:.1f} s until it has joined, {behind:.1f} s until the objects are made again; ", end=""
+        f"a photo more ({cost.cpu_s:.1f} CPU s): {joined:.1f} s until it has joined, {behind:.1f} s behind it; ", end=""
     )
     print(f"the same bits: {before == objects_of(field)}")
 

@@ -1,7 +1,7 @@
 """What the votes of photos are worth: lists, clicks and answers before and after pieces are joined that photos outline.
 
     python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER [--masks whole] [--clip FOLDER]
-        [--voices] [--pictures FOLDER]
+        [--voices or --only-voices] [--pictures FOLDER]
     python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER --surfaces
 
 ROOM: one of world/scenes. CAPTURE: a real capture with outlines (`tests/support/*_outlines.json`) or labels, and the
@@ -15,7 +15,10 @@ what a click into the middle of the thing finds, in up to CLICKED photos. Select
 --clip as in `study_answers.py`, a fifth of the masks showing something else. FOLDER keeps what is registered; pictures
 show the joined things, their pieces in colours.
 
---voices: P, R, the number listed and IoU once more, with a voice of VOICES left out or added.
+--voices: after each place the same, voted, with a voice left out or added; --only-voices: nothing else. Features are
+those of the built-in encoder, which keep pieces apart; depth between pieces is what joins them by relief
+(docs/grouping.md); the learned order of merging gives way to that of the outlines' strength, or both are candidates;
+depth in outlines weakens those where the scene has no step, FLAT_SHARE.
 
 --surfaces: which listed objects are said to be surfaces, by what most of their Gaussians are. Right are SURFACES. The
 last column has the listed objects of 500 Gaussians or more that are surfaces, by what they are, and in brackets those
@@ -25,7 +28,7 @@ that are said to be. "-" is what nobody outlined.
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from heapq import heapify, heappop, heappush
@@ -45,7 +48,6 @@ from benchmarks.suite.answers import answered
 from benchmarks.suite.outlines import iou, outlines_path
 from benchmarks.suite.outlines import middle as middle_of
 from benchmarks.suite.places import SIDE, Place, capture, room
-from benchmarks.suite.tables import markdown
 from benchmarks.suite.trials import Means
 from benchmarks.suite.vocabularies import KINDS, Clip
 from drsplat import EncoderIdentity, LanguageField, MiniEncoder, Query, Scene, View, load_image, read_views
@@ -68,6 +70,8 @@ from drsplat.scene.masks.selection import mask_maps
 from drsplat.scene.parted import middle
 
 LEVEL = 0.5  # of IoU, from which on an object is a thing
+VOTES_HEAD = "| place | P, R (listed) | voted | IoU | click | select |\n|---|--:|--:|--:|--:|--:|"
+SURFACE_HEAD = "| place | surfaces | right, of known | what they are | surfaces there (said) |\n|---|--:|--:|---|---|"
 CLICKED, MIN_PIXELS = 4, 100  # photos of a thing that are clicked into; pixels that show it there
 WRONG = 0.2  # of the masks, which show something else than their thing
 FLAT_SHARE, STEP = 0.4, 0.04  # of an outline's strength that is left without a step of depth; of the depth
@@ -272,7 +276,7 @@ class Study(NamedTuple):
     def found(self, tree: Tree) -> Found:
         return compared(self.place, listing(tree, self.evidence, self.ids))
 
-    def voices(self) -> Mapping[str, Found]:
+    def voices(self) -> Iterator[tuple[str, Found]]:
         tree, alike = self.tree(self.evidence), np.ones((len(self.evidence.masks), 1), np.float32)
         votes, deep = self.votes, []
         for vote, view in zip(votes, self.views, strict=True):
@@ -285,11 +289,12 @@ class Study(NamedTuple):
             "with both orders": [both(vote, vote.tree) for vote in votes],
             "with depth in outlines": deep,
         }
-        trees = {"all": with_voted(tree, lambda: votes), "without votes": tree}
-        trees |= {name: with_voted(some, lambda: votes) for name, some in pieces.items()}
-        for name, some in said.items():
-            trees[name] = with_voted(tree, lambda some=some: some)
-        return {name: self.found(some) for name, some in trees.items()}
+        yield "without votes", self.found(tree)
+        yield "all", self.found(with_voted(tree, lambda: votes))
+        for name, some in pieces.items():
+            yield name, self.found(with_voted(some, lambda: votes))
+        for name, others in said.items():
+            yield name, self.found(with_voted(tree, lambda others=others: others))
 
     def field(self, evidence: Evidence, tree: Tree) -> LanguageField:
         """A field with these objects, its features without meaning."""
@@ -386,31 +391,28 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--clip", type=Path)
     parser.add_argument("--voices", action="store_true")
+    parser.add_argument("--only-voices", action="store_true")
     parser.add_argument("--surfaces", action="store_true")
     arguments = parser.parse_args()
     print(describe_machine())
     words = Clip(arguments.clip) if arguments.clip else None
-    rows, voices, flat_rows = [], {}, []
+    print(SURFACE_HEAD if arguments.surfaces else VOTES_HEAD)
     for given in arguments.places:
         place, path = place_of(given, arguments.masks == "whole", arguments.kept)
         if arguments.surfaces:
-            flat_rows.append(surface_row(place))
+            print(line(surface_row(place)), flush=True)
             continue
         study = Study.of(place, path, arguments.kept, arguments.masks == "graph")
-        if arguments.voices:
-            voices[place.name] = study.voices()
-        else:
-            rows.append(side_by_side(study, words, arguments.pictures))
-        print(f"{place.name} done", file=sys.stderr, flush=True)
-    if flat_rows:
-        print(markdown(("place", "surfaces", "right, of known", "what they are", "surfaces there (said)"), flat_rows))
-    if rows:
-        print(markdown(("place", "P, R (listed)", "voted", "IoU", "click", "select"), rows))
-    if voices:
-        names = next(iter(voices.values()))
-        lines = [(name, *(f"{said_of(of[name])}; {of[name].best:.3f}" for of in voices.values())) for name in names]
-        print(markdown(("P, R (listed); IoU", *voices), lines))
+        if not arguments.only_voices:
+            print(line(side_by_side(study, words, arguments.pictures)), flush=True)
+        if arguments.voices or arguments.only_voices:
+            for name, found in study.voices():
+                print(line((name, "", said_of(found), f"{found.best:.3f}", "", "")), flush=True)
     print(f"\npeak memory {peak_memory_bytes() / 2**20:.0f} MiB")
+
+
+def line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def place_of(given: str, whole: bool, kept: Path) -> tuple[Place, Path]:

@@ -336,9 +336,9 @@ def test_a_tree_holds_what_is_outlined() -> None:
         np.testing.assert_array_equal(array, vars(two)[name])
     square = np.zeros((240, 320), bool)
     square[60:180, 100:220] = True
-    candidates = one.candidates()
+    candidates = one.candidates
     masks = candidates.toarray()[:, one.labels] > 0
     fits = (masks & square).sum((1, 2)) / (masks | square).sum((1, 2))
     assert fits.max() > 0.9
-    assert one.outlines(candidates)[fits.argmax()] > 0.4
-    assert one.framed(candidates)[fits.argmax()] == 0
+    assert one.bounds.outlines[fits.argmax()] > 0.4
+    assert one.bounds.framed[fits.argmax()] == 0

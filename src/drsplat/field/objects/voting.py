@@ -93,13 +93,13 @@ def _seen(tree: Tree, things: Int64[np.ndarray, " t"], vote: Vote) -> csr_array:
 
 def _said(own: csr_array, vote: Vote) -> tuple[np.ndarray, ...]:
     """Return of each set how much a photo sees of it, its best IoU with a candidate, its outline, its framed share."""
-    candidates, seen = vote.tree.candidates(), own.sum(axis=1)
+    candidates, seen = vote.tree.candidates, own.sum(axis=1)
     if not candidates.shape[0]:
         return seen, *np.zeros((3, len(seen)))
     shared = (own @ candidates.T).toarray()
     fits = shared / np.maximum(seen[:, None] + candidates @ vote.weights.sum(axis=0) - shared, 1e-9)
     best = fits.argmax(1)
-    return seen, fits.max(1), vote.tree.outlines(candidates)[best], vote.tree.framed(candidates)[best]
+    return seen, fits.max(1), *(values[best] for values in vote.tree.bounds)
 
 
 def _proposed(tree: Tree, things: Int64[np.ndarray, " t"], seen: Float64[np.ndarray, "v t"], votes: Votes) -> list[Set]:
@@ -113,12 +113,12 @@ def _proposed(tree: Tree, things: Int64[np.ndarray, " t"], seen: Float64[np.ndar
 def _proposals(
     own: csr_array, seen: Float64[np.ndarray, " t"], sees: Bool[np.ndarray, " t"], vote: Vote
 ) -> Iterator[Set]:
-    candidates = vote.tree.candidates()
+    candidates = vote.tree.candidates
     shared = (own @ candidates.T).toarray()
     within = (shared > INSIDE_SHARE * seen[:, None]) & sees[:, None]
     both = (shared * within).sum(0)
     either = candidates @ vote.weights.sum(axis=0) + (seen[:, None] * within).sum(0) - both
-    good = (both > MIN_FIT * either) & (within.sum(0) > 1) & (vote.tree.framed(candidates) <= MAX_FRAMED)
+    good = (both > MIN_FIT * either) & (within.sum(0) > 1) & (vote.tree.bounds.framed <= MAX_FRAMED)
     for column in np.flatnonzero(good):
         yield tuple(np.flatnonzero(within[:, column]).tolist())
 
