@@ -7,9 +7,13 @@ The photos are resized to SIDE pixels; where a capture has fewer than PHOTOS, ea
 of its own. Where the scene has fewer than GAUSSIANS, each is split into several that lie about it and together cover as
 much; where it has more, as many are drawn. --kill: the step that looks at the photos is killed after this share of the
 seconds that it took, run again, and has to give the same bits.
+
+Then a photo is taken out of the field, forgotten, and added: the seconds until it is in the objects that are there, and
+until these are made again with its vote, which has to give the bits of all photos at once.
 """
 
 import argparse
+import json
 import shutil
 import signal
 import subprocess
@@ -28,8 +32,10 @@ from benchmarks.machine import describe
 from benchmarks.suite.tables import markdown
 from drsplat import Gaussians, View, load_image, read_gaussians, read_views
 from drsplat.drawing.pictures import write_picture
+from drsplat.field.evidence.columns import part_name
 from drsplat.formats.colmap_binary import write_colmap
 from drsplat.formats.gaussian_ply import write_gaussians
+from drsplat.photos.embedding.voting import votes_beside
 
 DRSPLAT = Path(sys.executable).parent / "drsplat"
 
@@ -106,6 +112,7 @@ def main() -> None:
             costs[name] = cost_of([str(DRSPLAT), *command])
             rows.append(row(name, costs[name]))
         print(markdown(("step", "s", "CPU s", "MiB"), rows))
+        join(work, args.threads)
         if args.kill:
             resume(work, steps(work, args.threads)["objects and votes"], costs["objects and votes"], args.kill)
 
@@ -114,11 +121,33 @@ def row(name: str, cost: Cost) -> tuple[str, ...]:
     return name, f"{cost.clock_s:.1f}", f"{cost.cpu_s:.1f}", f"{cost.own / 2**20:.0f}"
 
 
+def join(work: Path, threads: int) -> None:
+    """Add a photo that the field and its votes do not know; print what it takes, and whether the objects are the same.
+
+    Of the time of the whole command, reading the photos and the scene is the rest.
+    """
+    field, name = work / "room.field", read_views(work / "capture")[-1].name
+    before = objects_of(field)
+    line = [str(field), "--scene", str(work / "scene.ply"), "--views", name, "--threads", str(threads)]
+    subprocess.run([str(DRSPLAT), "remove", *line], check=True, stdout=subprocess.DEVNULL)
+    for part in ("columns", "regions"):
+        (votes_beside(field) / part_name(name).replace("columns", part)).unlink()
+    line[1:1] = [str(work / "capture"), "--features", str(work / "features"), "--json"]
+    cost = cost_of([str(DRSPLAT), "add", *line])
+    seconds = json.loads(cost.output)["stage_seconds"]
+    joined = sum(seconds[stage] for stage in ("load", "read", "register", "weights", "code", "joined"))
+    behind = seconds["objects"] + seconds["save"]
+    print(
+        f"a photo more ({cost.cpu_s:.1f} CPU s): {joined:.1f} s until it has joined, {behind:.1f} s behind it; ", end=""
+    )
+    print(f"the same bits: {before == objects_of(field)}")
+
+
 def resume(work: Path, command: list[str], whole: Cost, share: float) -> None:
     """Kill the step and run it again; print what it cost, and whether the objects are the same bits."""
     field = work / "room.field"
     before = objects_of(field)
-    shutil.rmtree(field / "objects", ignore_errors=True)
+    shutil.rmtree(votes_beside(field))
     killed([str(DRSPLAT), *command], share * whole.clock_s)
     again = cost_of([str(DRSPLAT), *command])
     same = before == objects_of(field)

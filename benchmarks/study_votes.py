@@ -1,17 +1,24 @@
-"""What the votes of photos are worth: lists of objects before and after pieces are joined that photos outline as one.
+"""What the votes of photos are worth: lists, clicks and answers before and after pieces are joined that photos outline.
 
-    python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER [--masks whole] [--pictures FOLDER]
+    python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER [--masks whole] [--clip FOLDER]
+        [--voices or --only-voices] [--pictures FOLDER]
     python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER --surfaces
 
 ROOM: one of world/scenes. CAPTURE: a real capture with outlines (`tests/support/*_outlines.json`) or labels, and the
-scene that was trained on it. --masks whole: true masks of rooms, and simulated ones of whole things for captures;
-without it the built-in segmenter's. Masks have no meaning here: W alone decides.
+scene that was trained on it. --masks whole: true masks of rooms, and simulated ones of whole things for captures,
+without features; else masks and features are the built-in ones.
 
 P: share of the listed objects that are a thing (IoU above 0.5, each thing once); of captures only few things are
 outlined, so that P of two rows may be compared, and says little by itself. R: share of the things that are listed.
-IoU: mean over things of that with the best object, listed or not. Rows leave out, one at a time, what a vote is made
-of: the strength of outlines, the frame of photos, and that pieces may be stronger than the whole. FOLDER keeps what is
-registered; pictures show the joined things, their pieces in colours.
+IoU: mean over things of that with the best object, listed or not. Click: mean over things of the IoU in other photos of
+what a click into the middle of the thing finds, in up to CLICKED photos. Select: mean IoU of words by genuine vectors,
+--clip as in `study_answers.py`, a fifth of the masks showing something else. FOLDER keeps what is registered; pictures
+show the joined things, their pieces in colours.
+
+--voices: after each place the same, voted, with a voice left out or added; --only-voices: nothing else. Features are
+those of the built-in encoder, which keep pieces apart; depth between pieces is what joins them by relief
+(docs/grouping.md); the learned order of merging gives way to that of the outlines' strength, or both are candidates;
+depth in outlines weakens those where the scene has no step, FLAT_SHARE.
 
 --surfaces: which listed objects are said to be surfaces, by what most of their Gaussians are. Right are SURFACES. The
 last column has the listed objects of 500 Gaussians or more that are surfaces, by what they are, and in brackets those
@@ -20,39 +27,54 @@ that are said to be. "-" is what nobody outlined.
 
 import argparse
 import sys
-import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache
+from heapq import heapify, heappop, heappush
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
+from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.machine import describe
-from benchmarks.suite.outlines import outlines_path
-from benchmarks.suite.places import Place, capture, room
-from benchmarks.suite.tables import markdown
-from drsplat import read_views
+from benchmarks.machine import describe as describe_machine
+from benchmarks.suite import trials
+from benchmarks.suite.answers import answered
+from benchmarks.suite.outlines import iou, outlines_path
+from benchmarks.suite.outlines import middle as middle_of
+from benchmarks.suite.places import SIDE, Place, capture, room
+from benchmarks.suite.trials import Means
+from benchmarks.suite.vocabularies import KINDS, Clip
+from drsplat import EncoderIdentity, LanguageField, MiniEncoder, Query, Scene, View, load_image, read_views
 from drsplat.base.system import peak_memory_bytes
-from drsplat.drawing.pictures import contact_sheet, write_picture
+from drsplat.drawing.pictures import contact_sheet, visible_share, write_picture
 from drsplat.field.evidence.evidence import Evidence
 from drsplat.field.forest import THING
-from drsplat.field.objects import voting
 from drsplat.field.objects.agreed import agreed
 from drsplat.field.objects.choosing import Tree, _owners
-from drsplat.field.objects.describing import MIN_SHOWN_SHARE, node_weights
+from drsplat.field.objects.describing import MIN_SHOWN_SHARE, describe, node_weights
 from drsplat.field.objects.finding import find_tree
 from drsplat.field.objects.surfaces import surfaces
+from drsplat.field.objects.voting import Vote, with_voted
 from drsplat.kernels import render_channels, splat_arrays
+from drsplat.photos.embedding.keeping import mask_rows
 from drsplat.photos.embedding.voting import _Electorate
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.scene.masks.region_tree import RegionTree
+from drsplat.scene.masks.selection import mask_maps
 from drsplat.scene.parted import middle
 
 LEVEL = 0.5  # of IoU, from which on an object is a thing
+VOTES_HEAD = "| place | P, R (listed) | voted | IoU | click | select |\n|---|--:|--:|--:|--:|--:|"
+SURFACE_HEAD = "| place | surfaces | right, of known | what they are | surfaces there (said) |\n|---|--:|--:|---|---|"
+CLICKED, MIN_PIXELS = 4, 100  # photos of a thing that are clicked into; pixels that show it there
+WRONG = 0.2  # of the masks, which show something else than their thing
+FLAT_SHARE, STEP = 0.4, 0.04  # of an outline's strength that is left without a step of depth; of the depth
 VOID = 0.5  # of an object's Gaussians: with fewer in known photos it counts neither way
 COLORS = np.random.default_rng(7).integers(40, 256, (64, 3))
 
@@ -80,8 +102,8 @@ class Rows:
 
     aggregator = SimpleNamespace(sampling=None)
 
-    def __init__(self, ids: np.ndarray) -> None:
-        self.ids = ids
+    def __init__(self, ids: np.ndarray, evidence: Evidence, scene: str) -> None:
+        self.ids, self.evidence, self.scene = ids, evidence, scene
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -141,48 +163,204 @@ def surface_row(place: Place) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def flat(votes: list[voting.Vote]) -> list[voting.Vote]:
+def features_of(place: Place, folder: Path, kept: Path) -> np.ndarray:
+    """Embeddings by the built-in encoder of the masks that a place was registered with."""
+    path = kept / f"{place.inputs}.features.npy"
+    if path.exists():
+        return np.load(path)
+    photos, encoder, rows = {view.name: view for view in read_views(folder)}, MiniEncoder(), []
+    for number, name in enumerate(place.evidence.masks.view_names):
+        (view,) = (view for view in place.cameras if view.name == name)
+        photo = Image.fromarray(load_image(photos[name]))
+        photo = photo.resize((view.width, view.height), Image.Resampling.LANCZOS) if photo.size != view.size else photo
+        masks = mask_maps(GraphSegmenter().segment(np.asarray(photo))).masks
+        own = mask_rows(np.asarray(photo), masks, encoder)
+        rows.append(own[: np.count_nonzero(place.evidence.masks.views == number)])
+    np.save(path, np.concatenate(rows))
+    return np.concatenate(rows)
+
+
+def flat(vote: Vote) -> Vote:
     """Every outline as strong as any other."""
-    return [vote._replace(tree=replace(vote.tree, strengths=0.8 * vote.tree.lengths)) for vote in votes]
+    return vote._replace(tree=replace(vote.tree, strengths=0.8 * vote.tree.lengths))
 
 
-@contextmanager
-def set_to(**values: float) -> Iterator[None]:
-    before = {name: getattr(voting, name) for name in values}
-    try:
-        for name, value in values.items():
-            setattr(voting, name, value)
-        yield
-    finally:
-        for name, value in before.items():
-            setattr(voting, name, value)
+def reordered(vote: Vote) -> Vote:
+    """Regions merge where the outline between them is weakest on average, not by the learned rule."""
+    return vote._replace(tree=replace(vote.tree, pairs=order_of_outlines(vote.tree)))
 
 
-def measured(place: Place, folder: Path, kept: Path, pictures: Path | None) -> tuple[Mapping[str, Found], str]:
-    ids = np.flatnonzero(np.diff(place.evidence.weights.indptr))
-    evidence = place.evidence.rows(ids)
-    started = time.perf_counter()
-    tree = find_tree(evidence, place.gaussians, ids.astype(np.uint32), place.cameras)
-    finding = time.perf_counter() - started
-    by_name = {view.name: view for view in read_views(folder)}
-    views = [by_name[name] for name in evidence.masks.view_names]
-    electorate = _Electorate(Rows(ids), place.gaussians, views, kept / f"{folder.name}.votes", 0)
-    started = time.perf_counter()
-    electorate.look(lambda some, _: some)
-    looking = time.perf_counter() - started
-    votes = list(electorate.votes())
-    started = time.perf_counter()
-    voted = voting.with_voted(tree, lambda: votes)
-    seconds = f"{len(views)} photos: {looking:.1f} s of looking, {time.perf_counter() - started:.1f} of voting, "
-    trees = {"today": tree, "voted": voted, "outlines alike": voting.with_voted(tree, lambda: flat(votes))}
-    with set_to(MAX_FRAMED=1.0):
-        trees["frames ignored"] = voting.with_voted(tree, lambda: votes)
-    with set_to(LARGE_SHARE=1.1):
-        trees["stronger pieces joined"] = voting.with_voted(tree, lambda: votes)
+def both(vote: Vote, strengths: RegionTree) -> Vote:
+    """Candidates of the learned order and of that by the strengths of another tree of the same regions, one vote."""
+    own, count = order_of_outlines(strengths), len(vote.tree)
+    own = np.where(own < count, own, own + len(vote.tree.pairs))
+    pairs = np.concatenate([vote.tree.pairs, own]).astype(np.int32)
+    return vote._replace(tree=replace(strengths, pairs=pairs))
+
+
+def order_of_outlines(tree: RegionTree) -> np.ndarray:
+    """(k, 2) nodes that merge, the pair with the weakest outline first."""
+    beside: dict[int, dict[int, np.ndarray]] = {region: {} for region in range(len(tree))}
+    for (one, other), *border in zip(tree.touching.tolist(), tree.lengths, tree.strengths, strict=True):
+        beside[one][other] = beside[other][one] = np.array(border)
+    waiting = [
+        (strength / max(length, 1), one, other)
+        for one, others in beside.items()
+        for other, (length, strength) in others.items()
+        if one < other
+    ]
+    heapify(waiting)
+    pairs: list[tuple[int, int]] = []
+    while waiting:
+        _, one, other = heappop(waiting)
+        if one not in beside or other not in beside:
+            continue
+        new = len(tree) + len(pairs)
+        pairs.append((one, other))
+        borders: dict[int, np.ndarray] = {}
+        for some in (beside.pop(one), beside.pop(other)):
+            for region, border in some.items():
+                borders[region] = borders.get(region, 0) + border
+        beside[new] = {region: border for region, border in borders.items() if region in beside}
+        for region, border in beside[new].items():
+            beside[region] = {at: value for at, value in beside[region].items() if at in beside} | {new: border}
+            heappush(waiting, (border[1] / max(border[0], 1), region, new))
+    return np.array(pairs, np.int32).reshape(-1, 2)
+
+
+def with_depth(tree: RegionTree, view: View, place: Place) -> RegionTree:
+    """Outlines at FLAT_SHARE of their strength where the scene's depth has no step of STEP."""
+    labels, (height, width) = tree.labels, tree.labels.shape
+    ones = np.ones((len(place.gaussians), 1), np.float32)
+    depth = render_channels(splat_arrays(place.gaussians), view.resized(width, height), ones).depth
+    logs = ndimage.median_filter(np.log(np.maximum(np.where(depth > 0, depth, np.median(depth)), 1e-3)), 5)
+    bent = [abs(np.roll(logs, 4, axis) + np.roll(logs, -4, axis) - 2 * logs) for axis in (0, 1)]
+    steps = ndimage.maximum_filter(np.clip(np.maximum(*bent) / STEP, 0, 1), 5)
+    count, sums = len(tree), np.zeros((2, len(tree) ** 2))
+    for axis in (0, 1):
+        one, other = (np.take(labels, range(start, labels.shape[axis] - 1 + start), axis) for start in (0, 1))
+        key = np.minimum(one, other).astype(np.int64) * count + np.maximum(one, other)
+        step = np.take(steps, range(labels.shape[axis] - 1), axis)
+        sums += [np.bincount(key.ravel(), weights, count**2) for weights in (None, step.ravel())]
+    pixels, stepped = sums[:, tree.touching.min(1) * np.int64(count) + tree.touching.max(1)]
+    share = FLAT_SHARE + (1 - FLAT_SHARE) * stepped / np.maximum(pixels, 1)
+    return replace(tree, strengths=tree.strengths * share)
+
+
+class Study(NamedTuple):
+    """A place with its photos' votes. evidence: of `ids`, with features where there are any. views: of the votes."""
+
+    place: Place
+    ids: np.ndarray
+    evidence: Evidence
+    votes: list[Vote]
+    views: list[View]
+
+    @classmethod
+    def of(cls, place: Place, folder: Path, kept: Path, features: bool) -> "Study":
+        ids = np.flatnonzero(np.diff(place.evidence.weights.indptr))
+        plain = place.evidence.rows(ids)
+        by_name = {view.name: view for view in read_views(folder)}
+        views = [replace(by_name[name], distortion=None) for name in plain.masks.view_names]
+        own = replace(plain, embeddings=features_of(place, folder, kept)) if features else plain
+        given = [by_name[name] for name in plain.masks.view_names]
+        rows = Rows(ids, plain, place.gaussians.fingerprint)
+        electorate = _Electorate(rows, place.gaussians, kept / f"{folder.name}.votes", 0)
+        electorate.look(given, lambda some, _: some)
+        return cls(place, ids, own, list(electorate.votes()), views)
+
+    def tree(self, evidence: Evidence, relief: bool = True) -> Tree:
+        cameras = self.place.cameras if relief else []
+        return find_tree(evidence, self.place.gaussians, self.ids.astype(np.uint32), cameras)
+
+    def found(self, tree: Tree) -> Found:
+        return compared(self.place, listing(tree, self.evidence, self.ids))
+
+    def voices(self) -> Iterator[tuple[str, Found]]:
+        tree, alike = self.tree(self.evidence), np.ones((len(self.evidence.masks), 1), np.float32)
+        votes, deep = self.votes, []
+        for vote, view in zip(votes, self.views, strict=True):
+            deep.append(both(vote, with_depth(vote.tree, view, self.place)))
+        pieces = {"without features": self.tree(replace(self.evidence, embeddings=alike))}
+        pieces["without depth between pieces"] = self.tree(self.evidence, relief=False)
+        said = {
+            "without outlines' strength": [flat(vote) for vote in votes],
+            "without the learned order": [reordered(vote) for vote in votes],
+            "with both orders": [both(vote, vote.tree) for vote in votes],
+            "with depth in outlines": deep,
+        }
+        yield "without votes", self.found(tree)
+        yield "all", self.found(with_voted(tree, lambda: votes))
+        for name, some in pieces.items():
+            yield name, self.found(with_voted(some, lambda: votes))
+        for name, others in said.items():
+            yield name, self.found(with_voted(tree, lambda others=others: others))
+
+    def field(self, evidence: Evidence, tree: Tree) -> LanguageField:
+        """A field with these objects, its features without meaning."""
+        gaussians, rows = self.place.gaussians, Means(np.ones((len(self.ids), evidence.dim), np.float32))
+        identity = EncoderIdentity("none", evidence.dim)
+        field = LanguageField(
+            self.ids.astype(np.uint32), rows, identity, gaussians.fingerprint, len(gaussians), evidence
+        )
+        return replace(field, objects=describe(field, gaussians, tree))
+
+    def clicks(self, tree: Tree) -> float:
+        place = self.place
+        views = [replace(view, distortion=None).limited(SIDE) for view in place.views]
+        scene, splats = Scene(self.field(self.evidence, tree), place.gaussians, views), splat_arrays(place.gaussians)
+        shown = {view.name: resized(place.shown(stored), view) for stored, view in zip(place.views, views, strict=True)}
+
+        @cache
+        def drawn(ids: bytes, name: str) -> np.ndarray:
+            some = np.frombuffer(ids, np.int64)
+            return visible_share(place.gaussians, scene.view(name), some, splats=splats) > 0.5
+
+        means = []
+        for number in sorted(number for some in place.things.values() for number in some):
+            photos = [name for name, ids in shown.items() if np.count_nonzero(ids == number) >= MIN_PIXELS]
+            photos = [photos[at * len(photos) // CLICKED] for at in range(CLICKED)] if len(photos) > CLICKED else photos
+            fits = []
+            for photo in photos:
+                click = (photo, *middle_of(shown[photo] == number))
+                ids = scene.ask(Query(click=click)).gaussian_ids.astype(np.int64).tobytes()
+                fits += [iou(drawn(ids, other), shown[other] == number) for other in photos if other != photo]
+            means += [np.mean(fits)] if fits else []
+        return float(np.mean(means))
+
+    def selected(self, words: Clip, votes: list[Vote] | None) -> float:
+        """Mean IoU of words that something is called by."""
+
+        def field_of(place: Place, identity: EncoderIdentity) -> LanguageField:
+            field = trials.field_of(place, identity)
+            if votes is None or field.evidence is None:
+                return field
+            tree = with_voted(self.tree(field.evidence), lambda: votes)
+            return replace(field, objects=describe(field, place.gaussians, tree))
+
+        cases = [trials.trial(self.place, words, kind, WRONG, 0, field_of) for kind in KINDS]
+        return float(np.mean([one.objects for case in cases for one in answered(case)]))
+
+
+def resized(ids: np.ndarray, view: View) -> np.ndarray:
+    return np.asarray(Image.fromarray(ids.astype(np.int32)).resize(view.size, Image.Resampling.NEAREST))
+
+
+def said_of(found: Found) -> str:
+    return f"{found.precision:.2f}, {found.recall:.2f} ({found.listed})"
+
+
+def side_by_side(study: Study, words: Clip | None, pictures: Path | None) -> tuple[str, ...]:
+    """Today's and voted objects: list, best object, click, select."""
+    trees = [study.tree(study.evidence)]
+    trees.append(with_voted(trees[0], lambda: study.votes))
     if pictures:
-        draw(place, ids, tree, voted, pictures / f"{place.name.replace(', ', '_')}.jpg")
-    found = {name: compared(place, listing(some, evidence, ids)) for name, some in trees.items()}
-    return found, seconds + f"{finding:.1f} of finding the pieces"
+        draw(study.place, study.ids, *trees, pictures / f"{study.place.name.replace(', ', '_')}.jpg")
+    found = [study.found(tree) for tree in trees]
+    best = " -> ".join(f"{one.best:.3f}" for one in found)
+    clicks = " -> ".join(f"{study.clicks(tree):.3f}" for tree in trees)
+    select = " -> ".join(f"{study.selected(words, votes):.3f}" for votes in (None, study.votes)) if words else "-"
+    return study.place.name, *map(said_of, found), best, clicks, select
 
 
 def draw(place: Place, ids: np.ndarray, before: Tree, after: Tree, path: Path) -> None:
@@ -211,41 +389,40 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, required=True)
     parser.add_argument("--masks", choices=("graph", "whole"), default="graph")
     parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--clip", type=Path)
+    parser.add_argument("--voices", action="store_true")
+    parser.add_argument("--only-voices", action="store_true")
     parser.add_argument("--surfaces", action="store_true")
     arguments = parser.parse_args()
-    print(describe())
-    results: dict[str, Mapping[str, Found]] = {}
-    flat_rows = []
+    print(describe_machine())
+    words = Clip(arguments.clip) if arguments.clip else None
+    print(SURFACE_HEAD if arguments.surfaces else VOTES_HEAD)
     for given in arguments.places:
-        folder, _, scene = given.partition("=")
-        path = Path(folder).resolve()
-        if scene:
-            outlined = outlines_path(path.name)
-            kind = "sam" if arguments.masks == "whole" else "graph"
-            place = capture(path, Path(scene), outlined if outlined.exists() else None, kind, arguments.kept)
-        else:
-            place = room(path, "true" if arguments.masks == "whole" else "graph", arguments.kept)
+        place, path = place_of(given, arguments.masks == "whole", arguments.kept)
         if arguments.surfaces:
-            flat_rows.append(surface_row(place))
+            print(line(surface_row(place)), flush=True)
             continue
-        results[place.name], seconds = measured(place, path, arguments.kept, arguments.pictures)
-        print(f"{place.name}: {seconds}")
-    if flat_rows:
-        print(markdown(("place", "surfaces", "right, of known", "what they are", "surfaces there (said)"), flat_rows))
-        return
-    names = list(next(iter(results.values())))
-    rows = []
-    for name, found in {**results, "mean": {n: mean([one[n] for one in results.values()]) for n in names}}.items():
-        cells = (f"{one.precision:.2f}, {one.recall:.2f} ({one.listed:.0f}); {one.best:.3f}" for one in found.values())
-        rows.append((name, *cells))
-    print("\nP, R of the listed (their number); mean IoU of the best\n")
-    print(markdown(("", *names), rows))
+        study = Study.of(place, path, arguments.kept, arguments.masks == "graph")
+        if not arguments.only_voices:
+            print(line(side_by_side(study, words, arguments.pictures)), flush=True)
+        if arguments.voices or arguments.only_voices:
+            for name, found in study.voices():
+                print(line((name, "", said_of(found), f"{found.best:.3f}", "", "")), flush=True)
     print(f"\npeak memory {peak_memory_bytes() / 2**20:.0f} MiB")
 
 
-def mean(found: list[Found]) -> Found:
-    precision, recall, listed, best = np.mean(found, axis=0).tolist()
-    return Found(precision, recall, round(listed), best)
+def line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def place_of(given: str, whole: bool, kept: Path) -> tuple[Place, Path]:
+    folder, _, scene = given.partition("=")
+    path = Path(folder).resolve()
+    if not scene:
+        return room(path, "true" if whole else "graph", kept), path
+    outlined = outlines_path(path.name)
+    kind = "sam" if whole else "graph"
+    return capture(path, Path(scene), outlined if outlined.exists() else None, kind, kept), path
 
 
 if __name__ == "__main__":

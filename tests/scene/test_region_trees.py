@@ -44,7 +44,7 @@ def any_size(monkeypatch) -> None:
 @given(st.integers(0, 10**6))
 def test_candidates_are_the_nodes_of_the_tree(seed):
     tree, _ = tree_of(seed)
-    found = [set(row.nonzero()[0].tolist()) for row in tree.candidates().toarray()]
+    found = [set(row.nonzero()[0].tolist()) for row in tree.candidates.toarray()]
     expected = [{region} for region in range(len(tree))]
     for one, other in tree.pairs.tolist():
         assert expected[one].isdisjoint(expected[other])
@@ -55,8 +55,8 @@ def test_candidates_are_the_nodes_of_the_tree(seed):
 @given(st.integers(0, 10**6))
 def test_outlines_and_frames_are_those_of_plain_loops(seed):
     tree, strength = tree_of(seed)
-    candidates = tree.candidates()
-    outlines, framed = tree.outlines(candidates), tree.framed(candidates)
+    candidates = tree.candidates
+    outlines, framed = tree.bounds
     for number, row in enumerate(candidates.toarray()):
         inside = row[tree.labels] > 0
         across = []
@@ -75,4 +75,4 @@ def test_specks_and_whole_photos_are_no_candidates(monkeypatch):
     labels[:, 50:], labels[0, :3] = 1, 2
     pairs, touching = np.int32([[0, 2], [3, 1]]), np.int32([[0, 1], [0, 2]])
     tree = RegionTree(labels, pairs, touching, np.ones(2), np.ones(2))
-    assert [set(row.nonzero()[0].tolist()) for row in tree.candidates().toarray()] == [{0}, {1}, {0, 2}]
+    assert [set(row.nonzero()[0].tolist()) for row in tree.candidates.toarray()] == [{0}, {1}, {0, 2}]

@@ -30,6 +30,7 @@ from ..errors import InputError
 
 PART, THING, GROUP = 0, 1, 2
 LEVELS = ("part", "thing", "group")
+VOTED, JOINED = "voted", "joined"
 MAX_MASKS_PER_NODE = 32
 MAX_DESCRIPTORS_PER_NODE = 4
 LENGTH_TOLERANCE = 1e-3
@@ -56,7 +57,8 @@ class Objects:
     -1 for none. sure: consensus of the photos in [0, 1]. centers, axes, extents: boxes as of `Match`, in the world,
     upright where the field knows what is up. masses: opacity summed. num_views: photos that see it.
     mask_starts, masks, shares: per node up to 32 columns of the evidence, with their shares of the node's weight,
-    largest first. descriptor_starts, descriptors: per node up to 4 unit embeddings, of the most masks first.
+    largest first. descriptor_starts, descriptors: per node up to 4 unit embeddings, of the most masks first. votes:
+    VOTED where photos voted on what is one thing; JOINED where further ones have joined since, and not voted yet.
 
     Raises: InputError: arrays that are not so, or do not fit each other.
     """
@@ -75,6 +77,7 @@ class Objects:
     shares: Float32[np.ndarray, " k"]
     descriptor_starts: OtherIndices
     descriptors: Float32[np.ndarray, "P D"]
+    votes: str = ""
 
     def __post_init__(self) -> None:
         self._check_shapes()
@@ -90,6 +93,7 @@ class Objects:
         _check_starts("masks", self.mask_starts, len(self.masks), MAX_MASKS_PER_NODE)
         _check_starts("descriptors", self.descriptor_starts, len(self.descriptors), MAX_DESCRIPTORS_PER_NODE)
         _check_all(self.masks >= 0, "masks: expected columns of the evidence")
+        _check_all(np.isin(self.votes, ("", VOTED, JOINED)), "votes: expected voted, joined or nothing")
         _check_all(_within(self.shares, 0.0, 1 + LENGTH_TOLERANCE), "shares: expected numbers from 0 to 1")
         lengths = np.sqrt(np.einsum("pd,pd->p", self.descriptors, self.descriptors))
         _check_all(

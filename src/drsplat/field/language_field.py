@@ -402,7 +402,9 @@ class LanguageField:
         if self.contrast is not None:
             files[CONTRAST] = TensorFile({"embeddings": self.contrast.embeddings}, tie)
         if self.objects is not None:
-            files[OBJECTS] = TensorFile(self.objects.tensors(), tie)
+            files[OBJECTS] = TensorFile(
+                self.objects.tensors(), {"votes": self.objects.votes} | tie if self.objects.votes else tie
+            )
         if self.growth is not None:
             files[GROWTH] = TensorFile(self.growth.tensors(), self.growth.metadata() | tie)
         return files

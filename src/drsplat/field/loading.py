@@ -52,6 +52,7 @@ LATER = (OBJECTS, GROWTH)  # read when they are first asked for: a search needs 
 
 CURE = "Restore the field from a copy, or register again"
 
+_Manifest = dict[str, object]
 _Tensors = dict[str, np.ndarray]
 _ARRAYS = {"gaussian_ids": ("uint32", "r"), "coarse_ids": ("uint16", "r"), "inverse_norms": ("float32", "r")}
 _OLD_CODES, _GROUPED_CODES = {"codes": ("uint8", "r L")}, {"grouped_codes": ("uint8", "g L k")}
@@ -169,7 +170,7 @@ def verify_field(path: str | os.PathLike[str]) -> list[str]:
     return sorted([*names, MANIFEST]) if names else []
 
 
-def _checked_manifest(path: Path) -> dict[str, object]:
+def _checked_manifest(path: Path) -> _Manifest:
     """Read a manifest of a version that can be read. Raises: as `load_field`."""
     if not (path / MANIFEST).exists():
         raise mistaken(path, Kind.FIELD)
@@ -213,7 +214,7 @@ def _left_out(document: object, path: Path) -> tuple[str, ...]:
     return tuple(document)
 
 
-def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
+def _code(tensors: _Tensors, manifest: _Manifest, path: Path) -> Code:
     """Read a code of any kind; version 1 had product quantisation only, and wrote codes row by row."""
     where = str(path / CODES)
     old = manifest.get("version") == 1
@@ -249,14 +250,14 @@ def _searched_on(code: Code, device: str) -> Code:
     return searched_on(code, device)
 
 
-def _names(manifest: dict[str, object]) -> list[str]:
+def _names(manifest: _Manifest) -> list[str]:
     """Return the names of the files that must be there."""
     files = manifest.get("files")
     listed = files if isinstance(files, list) else []
     return [CODES, *(name for name in (EVIDENCE, NEGATIVES, CONTRAST, *LATER) if name in listed)]
 
 
-def _tied(path: Path, name: str, manifest: dict[str, object]) -> _File:
+def _tied(path: Path, name: str, manifest: _Manifest) -> _File:
     """Return one file, if it was written together with the manifest."""
     try:
         tensors, metadata = map_tensors(path / name)
@@ -271,7 +272,7 @@ def _evidence(file: _File | None) -> Evidence | None:
     return file and evidence_from_tensors(file.tensors, file.metadata, str(file.path))
 
 
-def _negatives(file: _File | None, manifest: dict[str, object], dim: int) -> Negatives | None:
+def _negatives(file: _File | None, manifest: _Manifest, dim: int) -> Negatives | None:
     if file is None:
         return None
     path, tensors = file.path, file.tensors
@@ -289,7 +290,7 @@ def _negatives(file: _File | None, manifest: dict[str, object], dim: int) -> Neg
     return Negatives(tuple(texts), embeddings, tensors["maxima"])
 
 
-def _contrast(file: _File | None, manifest: dict[str, object], dim: int) -> WordList | None:
+def _contrast(file: _File | None, manifest: _Manifest, dim: int) -> WordList | None:
     if file is None:
         return None
     check_tensors(file.tensors, {"embeddings": ("float32", "n D")}, str(file.path))
@@ -303,12 +304,12 @@ def _contrast(file: _File | None, manifest: dict[str, object], dim: int) -> Word
     return WordList(tuple(texts), embeddings)
 
 
-def _read_objects(path: Path, manifest: dict[str, object], field: StoredField) -> None:
+def _read_objects(path: Path, manifest: _Manifest, field: StoredField) -> None:
     """Read the objects of a field. Raises: as `load_field`."""
     file = _tied(path, OBJECTS, manifest)
     check_tensors(file.tensors, ARRAYS, str(file.path))
     try:
-        objects = Objects(**{name: file.tensors[name] for name in ARRAYS})
+        objects = Objects(**{name: file.tensors[name] for name in ARRAYS}, votes=file.metadata.get("votes", ""))
         evidence = field.__dict__["evidence"]
         objects.check_field(len(field), field.encoder.dim, (None if evidence is None else len(evidence.masks)))
     except InputError as error:
@@ -317,7 +318,7 @@ def _read_objects(path: Path, manifest: dict[str, object], field: StoredField) -
     field.__dict__["objects"] = objects
 
 
-def _read_growth(path: Path, manifest: dict[str, object], field: StoredField) -> None:
+def _read_growth(path: Path, manifest: _Manifest, field: StoredField) -> None:
     """Read the growth of a field. Raises: as `load_field`."""
     file, evidence = _tied(path, GROWTH, manifest), field.__dict__["evidence"]
     if evidence is None:

@@ -138,7 +138,7 @@ def _flagged(tree: RegionTree, times: Float64[np.ndarray, "h w"]) -> np.ndarray:
     """Return which regions stand out, by themselves or as a part of something that mostly does."""
     areas = tree.areas
     flagged = np.bincount(tree.labels.ravel(), times.ravel(), len(areas)) >= MIN_TIMES * areas
-    wholes = tree.candidates()
+    wholes = tree.candidates
     shares = (wholes @ (areas * flagged)) / np.maximum(wholes @ areas, 1)
     filled = (shares >= MIN_FLAGGED) & (wholes @ areas < MAX_SHARE * areas.sum())
     return flagged | ((wholes.T @ filled) > 0)

@@ -15,6 +15,9 @@ from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from ..learning import drawn
 
+OfPairs = Int64[np.ndarray, " p"]
+OfPieces = Int64[np.ndarray, " k"]
+
 MAX_SIDE_PIXELS = 336  # of a photo: borders need no more
 MAX_VIEWS = 60
 GAUSSIANS_PER_PIXEL = 8  # the heaviest
@@ -35,12 +38,12 @@ class ViewBorders(NamedTuple):
     pieces, areas: those that it shows, and their pixels.
     """
 
-    pieces: Int64[np.ndarray, " k"]
-    areas: Int64[np.ndarray, " k"]
-    front: Int64[np.ndarray, " p"]
-    back: Int64[np.ndarray, " p"]
-    levels: Int64[np.ndarray, " p"]
-    lengths: Int64[np.ndarray, " p"]
+    pieces: OfPieces
+    areas: OfPieces
+    front: OfPairs
+    back: OfPairs
+    levels: OfPairs
+    lengths: OfPairs
 
 
 class Borders(NamedTuple):
@@ -52,8 +55,8 @@ class Borders(NamedTuple):
 
     front: Int32[np.ndarray, " p"]
     back: Int32[np.ndarray, " p"]
-    levels: Int64[np.ndarray, " p"]
-    lengths: Int64[np.ndarray, " p"]
+    levels: OfPairs
+    lengths: OfPairs
     areas: Indices
 
 
@@ -99,7 +102,7 @@ def of_all_views(found: Iterable[ViewBorders], count: int) -> Borders:
     return Borders(front, back, counts[:, 0], counts[:, 1], areas)
 
 
-def _summed(keys: Int64[np.ndarray, " k"], counts: Int64[np.ndarray, "k 2"]) -> tuple[np.ndarray, np.ndarray]:
+def _summed(keys: OfPieces, counts: Int64[np.ndarray, "k 2"]) -> tuple[np.ndarray, np.ndarray]:
     """Return each key once, its counts together."""
     once, places = np.unique(keys, return_inverse=True)
     total = np.zeros((len(once), counts.shape[1]), np.int64)
@@ -145,6 +148,6 @@ def _crossings(
         yield np.where(nearer, one, other), np.where(nearer, other, one), jump
 
 
-def _clear(shown: Labels, y: Int64[np.ndarray, " k"], x: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+def _clear(shown: Labels, y: OfPieces, x: OfPieces) -> Bool[np.ndarray, " k"]:
     """Mark places where both pieces are two pixels wide or more: slivers between others say nothing."""
     return np.asarray((shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1]))

@@ -8,6 +8,10 @@ from ...base.arrays import Bool, Float32, Float64, Indices, Int32, Int64, Intege
 from ...kernels import Forest
 from ..forest import GROUP, PART, THING
 
+NodeFlags = Bool[np.ndarray, " t"]
+NodeNumbers = Int64[np.ndarray, " t"]
+AnyNodeNumbers = Integer[np.ndarray, " t"]
+
 APART_DISTANCE = 0.4  # of embeddings (1: unrelated) of regions that are never one thing
 MAX_GROUP_SHARE = 0.5  # of all weight: what holds more is the room
 MAX_SMALL_SHARE, MIN_SMALL_FIT = 0.1, 0.19  # of the size of what a small thing is on; its fit
@@ -55,11 +59,8 @@ def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: i
 
 
 def _small_things(
-    parents: Int64[np.ndarray, " t"],
-    sizes: Int32[np.ndarray, " t"],
-    fits: Float64[np.ndarray, " t"],
-    things: Bool[np.ndarray, " t"],
-) -> Bool[np.ndarray, " t"]:
+    parents: NodeNumbers, sizes: Int32[np.ndarray, " t"], fits: Float64[np.ndarray, " t"], things: NodeFlags
+) -> NodeFlags:
     """Return the nodes strictly within things that are small on them, and that masks of the photos still fit.
 
     A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
@@ -81,7 +82,7 @@ def _within(parents: Int32[np.ndarray, " t"], nodes: Indices) -> Indices:
     return np.asarray(number[_above(parents, among)[nodes]])
 
 
-def best_nodes(parents: Integer[np.ndarray, " t"], worth: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+def best_nodes(parents: AnyNodeNumbers, worth: Float64[np.ndarray, " t"]) -> NodeFlags:
     """Return the set of nodes, none above another, of the largest sum of worth; negative worth is never chosen.
 
     Of sets of equal sums it is the one of larger nodes. Linear: children come before their parents.
@@ -95,7 +96,7 @@ def best_nodes(parents: Integer[np.ndarray, " t"], worth: Float64[np.ndarray, " 
     return np.asarray(own & (_above(parents, own) < 0))
 
 
-def _owners(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
+def _owners(parents: AnyNodeNumbers, nodes: NodeFlags) -> NodeNumbers:
     """Return for each node itself or the lowest of `nodes` above it, -1 for none."""
     up = np.append(np.where(nodes, np.arange(len(parents)), parents), NONE)
     while (up != (further := up[up])).any():
@@ -103,12 +104,12 @@ def _owners(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -
     return np.asarray(up[:-1])
 
 
-def _above(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
+def _above(parents: AnyNodeNumbers, nodes: NodeFlags) -> NodeNumbers:
     """Return for each node the lowest of `nodes` above it, -1 for none."""
     return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
 
 
-def pairs_above(parents: Integer[np.ndarray, " t"]) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
+def pairs_above(parents: AnyNodeNumbers) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
     """Return all pairs of a node and one that is above it, or itself."""
     below = above = np.arange(len(parents))
     lower, upper = [below], [above]
@@ -120,9 +121,7 @@ def pairs_above(parents: Integer[np.ndarray, " t"]) -> tuple[Int64[np.ndarray, "
     return np.concatenate(lower), np.concatenate(upper)
 
 
-def _parts(
-    parents: Int64[np.ndarray, " t"], worth: Float64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]
-) -> Bool[np.ndarray, " t"]:
+def _parts(parents: NodeNumbers, worth: Float64[np.ndarray, " t"], things: NodeFlags) -> NodeFlags:
     """Return the best nodes strictly within things, where a thing has two or more."""
     thing = _above(parents, things)
     best = best_nodes(parents, np.where(thing >= 0, worth, NONE))
@@ -130,7 +129,7 @@ def _parts(
     return np.asarray(best & several[thing])
 
 
-def _holding(parents: Int64[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+def _holding(parents: NodeNumbers, nodes: NodeFlags) -> NodeFlags:
     """Return the nodes that have one of `nodes` below them."""
     holding = np.zeros(len(parents), bool)
     at = np.unique(parents[nodes])
@@ -141,7 +140,7 @@ def _holding(parents: Int64[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) ->
     return holding
 
 
-def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+def _several_branches(parents: NodeNumbers, things: NodeFlags) -> NodeFlags:
     """Return the nodes with things below two or more of their children."""
     holds = things.tolist()
     branches = [0] * len(holds)
@@ -164,7 +163,7 @@ def _tree_of(
     return Tree(lowest.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])
 
 
-def _with_rests(tree: Tree, crowded: Bool[np.ndarray, " t"]) -> Tree:
+def _with_rests(tree: Tree, crowded: NodeFlags) -> Tree:
     """Make each crowded node a group; a new thing before it gets the rows that are in none of its things."""
     number = np.append(np.arange(len(crowded)) + np.cumsum(crowded), NONE)  # -1 stays -1
     rest = number - np.append(crowded, False)

@@ -23,8 +23,12 @@ from ...scene.gaussians import Gaussians
 from .. import LanguageField
 from ..evidence.aggregation.entries import row_chunks
 from ..evidence.evidence import Evidence
-from ..forest import MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
+from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
 from .choosing import Tree, pairs_above
+
+Entries = Int64[np.ndarray, " e"]
+Starts = Int64[np.ndarray, " T1"]
+NodeOfRow = Int32[np.ndarray, " R"]
 
 ROWS_AT_ONCE = 1 << 20
 NO_BOXES = Boxes(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 3)))
@@ -68,6 +72,24 @@ def node_weights(evidence: Evidence, tree: Tree) -> csr_array:
     return _weights(evidence, _inside(tree.parents), tree.node_of)
 
 
+def joined(before: LanguageField, after: LanguageField, gaussians: Gaussians, *, threads: int = 0) -> Objects:
+    """Return the objects of a field for the same field with more photos: the same nodes, as all photos show them.
+
+    Gaussians that no photo showed before are in none. Raises: as `describe`; InputError: the first has no objects.
+    """
+    if before.objects is None:
+        raise InputError("expected a field with objects")
+    old = before.objects
+    tree = Tree(_kept_nodes(before, after), old.parents, old.levels, old.sure)
+    return replace(describe(after, gaussians, tree, threads=threads), votes=JOINED if old.votes else "")
+
+
+def _kept_nodes(before: LanguageField, after: LanguageField) -> NodeOfRow:
+    rows = before.rows_of(after.gaussian_ids)
+    assert before.objects is not None
+    return np.where(rows < 0, np.int32(-1), before.objects.node_of[rows])
+
+
 def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 0) -> Objects:
     """Return the objects of a field for one made of some of its photos (`field_during`).
 
@@ -77,14 +99,13 @@ def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 
     """
     if whole.objects is None or some.evidence is None:
         raise InputError("expected a field with objects, and one with evidence")
-    objects, rows = whole.objects, whole.rows_of(some.gaussian_ids)
-    node_of = np.where(rows < 0, np.int32(-1), objects.node_of[rows])
+    objects, node_of = whole.objects, _kept_nodes(whole, some)
     weights = _weights(some.evidence, _inside(objects.parents), node_of)
     starts, vectors = descriptors(_exclusive(weights, some.evidence), some.evidence.embeddings, threads=threads)
     return replace(objects, node_of=node_of, descriptor_starts=starts, descriptors=vectors)
 
 
-def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"]) -> csr_array:
+def _members(node_of: NodeOfRow, parents: Int32[np.ndarray, " T"]) -> csr_array:
     """Return `_inside`, checked. Raises: InputError: a node without rows."""
     inside, count = _inside(parents), len(parents)
     empty = np.flatnonzero(inside @ np.bincount(node_of[node_of >= 0], minlength=count) == 0)
@@ -99,7 +120,7 @@ def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
     return csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(parents),) * 2)
 
 
-def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> csr_array:
+def _weights(evidence: Evidence, inside: csr_array, node_of: NodeOfRow) -> csr_array:
     """Return (T, M): the summed weight of all rows of a node in each mask."""
     (rows,) = np.nonzero(node_of >= 0)
     place = node_of[rows].astype(np.int32), rows.astype(np.int32)  # of the kind of W's, which SciPy else copies
@@ -110,9 +131,7 @@ def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, "
     return csr_array(summed)
 
 
-def _boxes(
-    field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Int32[np.ndarray, " R"], threads: int
-) -> Boxes:
+def _boxes(field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: NodeOfRow, threads: int) -> Boxes:
     """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can.
 
     Nodes come in batches, so that memory is that of ROWS_AT_ONCE rows, or of the largest node.
@@ -130,7 +149,7 @@ def _boxes(
 
 
 def _boxes_of_some(
-    field: LanguageField, gaussians: Gaussians, starts: Int64[np.ndarray, " T1"], rows: Int64[np.ndarray, " e"],
+    field: LanguageField, gaussians: Gaussians, starts: Starts, rows: Entries,
     threads: int,
 ) -> Boxes:  # fmt: skip
     nodes = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
@@ -141,9 +160,7 @@ def _boxes_of_some(
     return boxes_of(gaussians, np.append(0, np.cumsum(counts)), ids[seen], field.up, threads=threads)
 
 
-def _rows(
-    inside: csr_array, order: Int64[np.ndarray, " R"], begins: Int64[np.ndarray, " T1"]
-) -> tuple[Int64[np.ndarray, " T1"], Int64[np.ndarray, " e"]]:
+def _rows(inside: csr_array, order: Int64[np.ndarray, " R"], begins: Starts) -> tuple[Starts, Entries]:
     """Return the rows of some nodes and of those below them, in CSR form (starts, rows).
 
     order, begins: all rows in the order of their nodes, and where those of each begin.
@@ -155,7 +172,7 @@ def _rows(
 
 
 def _masses(
-    field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Int32[np.ndarray, " R"]
+    field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: NodeOfRow
 ) -> Float32[np.ndarray, " T"]:
     kept = node_of >= 0
     opacities = gaussians.opacities[field.gaussian_ids[kept]]
@@ -165,16 +182,21 @@ def _masses(
 
 def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"]:
     """Return the photos that show more than a sliver of each node."""
-    views, count = evidence.masks.views, len(evidence.masks.view_names)
-    of_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
-    shown = csr_array(weights @ of_view)
+    shown = shown_in_photos(weights, evidence)
     nodes = np.repeat(np.arange(shown.shape[0]), np.diff(shown.indptr))
     most = np.zeros(shown.shape[0])
     np.maximum.at(most, nodes, shown.data)
     return np.bincount(nodes[shown.data > MIN_SHOWN_SHARE * most[nodes]], minlength=shown.shape[0]).astype(np.int32)
 
 
-def _masks(weights: csr_array) -> tuple[Int64[np.ndarray, " T1"], Int32[np.ndarray, " E"], Float32[np.ndarray, " E"]]:
+def shown_in_photos(weights: csr_array, evidence: Evidence) -> csr_array:
+    """Return (T, V) the weight of each node in each photo. weights: (T, M) in each mask."""
+    views, count = evidence.masks.views, len(evidence.masks.view_names)
+    of_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
+    return csr_array(weights @ of_view)
+
+
+def _masks(weights: csr_array) -> tuple[Starts, Int32[np.ndarray, " E"], Float32[np.ndarray, " E"]]:
     """Return each node's masks of the largest shares of its weight, largest first, in CSR form."""
     kept = heaviest(weights, MAX_MASKS_PER_NODE)
     totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
@@ -197,7 +219,7 @@ def _exclusive(weights: csr_array, evidence: Evidence) -> csr_array:
 
 def descriptors(
     weights: csr_array, embeddings: Float32[np.ndarray, "M D"], *, threads: int = 0
-) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
+) -> tuple[Starts, Float32[np.ndarray, "P D"]]:
     """Return up to four unit vectors for each row of `weights` (T, M), as row starts and vectors, the heaviest first.
 
     The first centre is the weighted mean; a further one starts from the mask that is served worst, weight times
@@ -228,10 +250,10 @@ class _Clusters:
     threads: int
 
     @cached_property
-    def rows(self) -> Int64[np.ndarray, " e"]:
+    def rows(self) -> Entries:
         return np.repeat(np.arange(self.weights.shape[0]), np.diff(self.weights.indptr))
 
-    def settle(self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int) -> None:
+    def settle(self, labels: Entries, part: Int64[np.ndarray, " p"], count: int) -> None:
         """Move the entries of `part` to the cluster of the nearest centre, the first of equal ones, in some rounds."""
         for _ in range(LLOYD_ROUNDS):
             nearest = self.cosines(labels, part, count).argmax(axis=1)
@@ -250,7 +272,7 @@ class _Clusters:
         (worst,) = np.nonzero((served > 0) & (served == most[rows]))
         return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
 
-    def means(self, labels: Int64[np.ndarray, " e"]) -> Float32[np.ndarray, "T k D"]:
+    def means(self, labels: Entries) -> Float32[np.ndarray, "T k D"]:
         """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
         clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         order = np.argsort(clusters, kind="stable")
@@ -262,9 +284,7 @@ class _Clusters:
         )
         return means.reshape(-1, MAX_DESCRIPTORS_PER_NODE, means.shape[1])
 
-    def cosines(
-        self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int
-    ) -> Float32[np.ndarray, "p k"]:
+    def cosines(self, labels: Entries, part: Int64[np.ndarray, " p"], count: int) -> Float32[np.ndarray, "p k"]:
         """Return the cosines of the entries of `part` with the first `count` centres of their rows, -1 with empty ones.
 
         BLAS is avoided: its bits depend on the number of its threads.
@@ -280,7 +300,7 @@ class _Clusters:
                 cosines[begin : begin + ENTRIES_AT_ONCE, k] = np.where(filled[rows, k], row_cosines, -1)
         return cosines
 
-    def centers(self, labels: Int64[np.ndarray, " e"]) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
+    def centers(self, labels: Entries) -> tuple[Starts, Float32[np.ndarray, "P D"]]:
         """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
         means = self.means(labels)
         shape = means.shape[:2]

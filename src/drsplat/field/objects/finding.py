@@ -46,6 +46,7 @@ from .describing import describe
 from .joining import join, with_joined
 from .uniting import Masses, united
 
+Places = Float32[np.ndarray, "r 3"]
 MERGE_THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
 SOFT_SIGHT_SHARE = 0.55  # of what a photo shows of a Gaussian on average
 FAR_PHOTO_SHARE = 1.2e-4  # of the weight of a photo
@@ -100,7 +101,7 @@ class Division:
     """
 
     evidence: Evidence
-    points: Float32[np.ndarray, "r 3"]
+    points: Places
     kept: Bool[np.ndarray, " m"]
     totals: Totals
     embeddings: Float32[np.ndarray, "m k"]
@@ -171,9 +172,7 @@ def seen_by(found: Found, views: Sequence[View]) -> list[View]:
     return list({view.name: view for some in chosen for view in some}.values()) if chosen else some_views(views)
 
 
-def tree_of(
-    evidence: Evidence, points: Float32[np.ndarray, "r 3"], work: Work | None = None, *, threads: int = 0
-) -> Found:
+def tree_of(evidence: Evidence, points: Places, work: Work | None = None, *, threads: int = 0) -> Found:
     """Find the parts, things and groups that masks tell of; what they are pieces of is not yet known.
 
     points: centres of the rows' Gaussians. work: who finds the nodes of blocks, of which there are some where the
@@ -188,7 +187,7 @@ def tree_of(
     return Found(choose_among(found.forest, found.node_of, MIN_GAUSSIANS), seeing)
 
 
-def divided(evidence: Evidence, points: Float32[np.ndarray, "r 3"]) -> Division:
+def divided(evidence: Evidence, points: Places) -> Division:
     """Cut a scene in blocks. Of more weights than WEIGHTS_PER_ROW, those of some views are looked at."""
     masks = evidence.masks
     gone = views_beyond(evidence, max(MAX_WEIGHTS, WEIGHTS_PER_ROW * len(evidence)))
@@ -246,7 +245,7 @@ def views_beyond(evidence: Evidence, most: int) -> Bool[np.ndarray, " v"]:
     return gone
 
 
-def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int = 0) -> Forest:
+def grow(evidence: Evidence, means: Places, *, threads: int = 0) -> Forest:
     """Grow the forest of merges over the rows of the evidence. means: the Gaussians' centres."""
     order = along_a_curve(means)
     weights, views, embeddings = _by_view(evidence)

@@ -23,6 +23,10 @@ from ..forest import PART, THING
 from .borders import Borders
 from .choosing import NONE, Tree, _above, _owners
 
+Members = Int64[np.ndarray, " k"]
+PixelSums = Float64[np.ndarray, " *s"]
+Changes = Int64[np.ndarray, " c"]
+
 MIN_RELIEF, MIN_GAIN = 0.7, 0.1  # of a thing, and over the mean of its pieces by area
 WHOLE_SURENESS = 0.6  # of what single masks hold as a whole, which is not joined
 ALONE_RELIEF = 0.85  # of a piece that stands out by itself, which is not joined
@@ -87,7 +91,7 @@ class PieceSet:
     where it is behind the set, and where depth goes on.
     """
 
-    def __init__(self, outlines: Outlines, members: Int64[np.ndarray, " k"]) -> None:
+    def __init__(self, outlines: Outlines, members: Members) -> None:
         self.outlines = outlines
         self.within = np.zeros(len(outlines.areas), bool)
         self.before, self.behind, self.beside = (np.zeros(len(self.within)) for _ in range(3))
@@ -96,7 +100,7 @@ class PieceSet:
             self.change(piece)
 
     @property
-    def members(self) -> Int64[np.ndarray, " k"]:
+    def members(self) -> Members:
         """Numbers of the pieces, ascending."""
         return np.flatnonzero(self.within)
 
@@ -110,7 +114,7 @@ class PieceSet:
         """True where depth goes on along enough of the borders within."""
         return bool(goes_on(np.array(self.inner_level), np.array(self.inner_front)))
 
-    def changes(self, free: Flags) -> Int64[np.ndarray, " c"]:
+    def changes(self, free: Flags) -> Changes:
         """Return the pieces that may be added or taken out: pieces of the set, and what depth goes on to from it.
 
         free: pieces that may be added. Of others those that are small in the set may (`MAX_SMALL_SHARE`): a bow on a
@@ -122,14 +126,14 @@ class PieceSet:
         fits = (free[pieces] | (areas <= MAX_SMALL_SHARE * together)) & (together <= self.outlines.largest)
         return pieces[within | fits]
 
-    def reliefs(self, pieces: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
+    def reliefs(self, pieces: Changes) -> Float64[np.ndarray, " c"]:
         """Return the relief of the set once each piece alone is added to it, or taken out of it."""
         sign = self._signs(pieces)
         front = self.outlines.fronts[pieces] - self.behind[pieces] - self.before[pieces]
         level = self.outlines.levels[pieces] - 2 * self.beside[pieces]
         return relief(self.front + sign * front, self.level + sign * level)
 
-    def holding(self, pieces: Int64[np.ndarray, " c"]) -> Bool[np.ndarray, " c"]:
+    def holding(self, pieces: Changes) -> Bool[np.ndarray, " c"]:
         """Return for each of these sets whether depth goes on along enough of the borders within."""
         sign = self._signs(pieces)
         jumps = self.before[pieces] + self.behind[pieces]
@@ -153,7 +157,7 @@ class PieceSet:
             sums[rows.indices[part]] += sign * rows.data[part]
         self.within[piece] ^= True
 
-    def _signs(self, pieces: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
+    def _signs(self, pieces: Changes) -> Float64[np.ndarray, " c"]:
         return np.where(self.within[pieces], -1.0, 1.0)
 
 
@@ -198,7 +202,7 @@ class _Candidates:
         self.outlines, self.free = outlines, free
         self.found: dict[tuple[int, ...], tuple[float, float]] = {}  # what a set is worth, and its relief
 
-    def add(self, members: Int64[np.ndarray, " k"]) -> None:
+    def add(self, members: Members) -> None:
         """Refine a set, and keep it if it is one thing."""
         covered = refined(self.outlines, members, self.free)
         if self._is_thing(covered):
@@ -272,17 +276,17 @@ def _groups(parents: list[int], node: int) -> Iterator[int]:
         yield node
 
 
-def relief(front: Float64[np.ndarray, " *s"], level: Float64[np.ndarray, " *s"]) -> Float64[np.ndarray, " *s"]:
+def relief(front: PixelSums, level: PixelSums) -> PixelSums:
     """Return the relief of an outline, from its pixels in front and those where depth goes on; near 0 for a few."""
     return np.asarray(front / (front + level + RELIEF_PRIOR_PIXELS))
 
 
-def goes_on(level: Float64[np.ndarray, " *s"], front: Float64[np.ndarray, " *s"]) -> Bool[np.ndarray, " *s"]:
+def goes_on(level: PixelSums, front: PixelSums) -> Bool[np.ndarray, " *s"]:
     """Return whether borders hold a set together, from their pixels where depth goes on and where it jumps."""
     return np.asarray(level >= MIN_LEVEL_SHARE * (level + front))
 
 
-def grown(outlines: Outlines, seed: int, free: Flags) -> Int64[np.ndarray, " k"]:
+def grown(outlines: Outlines, seed: int, free: Flags) -> Members:
     """Return the set that stands out most of those that come about as pieces are added to a seed, best first.
 
     Each time the neighbour is added with which the set stands out most, also where that is less than before: a thing
@@ -304,7 +308,7 @@ def grown(outlines: Outlines, seed: int, free: Flags) -> Int64[np.ndarray, " k"]
     return np.sort(np.array(order[:length]))
 
 
-def refined(outlines: Outlines, members: Int64[np.ndarray, " k"], free: Flags) -> PieceSet:
+def refined(outlines: Outlines, members: Members, free: Flags) -> PieceSet:
     """Return the set once no single piece added or taken out lets it stand out more; every step is the best one.
 
     No step is taken after which depth does not go on along half of the borders within. free: see `PieceSet.changes`.

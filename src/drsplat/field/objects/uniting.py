@@ -16,6 +16,8 @@ from ...kernels import Forest
 from .block_nodes import BlockNodes
 from .choosing import NONE
 
+OfPairs = Int64[np.ndarray, " p"]
+
 WHOLE_SHARE = 0.8  # of a region's rows: a node that has as many, and is not cut, tells how well masks fit it
 PARTNER_IOU = 0.5  # of the rows that both blocks look at: above it each region has one partner at most
 
@@ -23,9 +25,9 @@ PARTNER_IOU = 0.5  # of the rows that both blocks look at: above it each region 
 class Shared(NamedTuple):
     """Numbers of rows that two blocks look at, by the smallest node of each block that they are in, -1 for none."""
 
-    one: Int64[np.ndarray, " p"]
-    other: Int64[np.ndarray, " p"]
-    counts: Int64[np.ndarray, " p"]
+    one: OfPairs
+    other: OfPairs
+    counts: OfPairs
 
 
 class United(NamedTuple):
@@ -151,9 +153,7 @@ def _tops(parents: Integer[np.ndarray, " t"], born: Bool[np.ndarray, " t"]) -> I
     return up
 
 
-def _matches(
-    one: Int64[np.ndarray, " p"], other: Int64[np.ndarray, " p"], counts: Int64[np.ndarray, " p"]
-) -> Int64[np.ndarray, "2 q"]:
+def _matches(one: OfPairs, other: OfPairs, counts: OfPairs) -> Int64[np.ndarray, "2 q"]:
     """Return the pairs of regions of two blocks that share more than half of the rows of both."""
     sizes = []
     for side in (one, other):

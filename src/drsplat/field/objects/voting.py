@@ -29,6 +29,7 @@ LARGE_SHARE = 0.1  # of a set: pieces of so much may not be worth more than all 
 MAX_SHARE = 0.35  # of all weight: what is more is the room
 WORTH_DECIMALS = 6  # the last bits of sums depend on the processor
 MAX_FRAMED = 0.05  # of the border of a set: what photos cut off is a surface
+Set = tuple[int, ...]
 
 
 class Vote(NamedTuple):
@@ -60,7 +61,8 @@ def with_voted(tree: Tree, votes: Votes) -> Tree:
     if not sets:
         return tree
     alone = [(thing,) for thing in range(len(things))]
-    pieces, found = (worth_of(_membership(some, len(things)), tree, things, votes) for some in (alone, sets))
+    both = worth_of(_membership([*alone, *sets], len(things)), tree, things, votes)
+    pieces, found = (Worth(*(values[part] for values in both)) for part in (np.s_[: len(alone)], np.s_[len(alone) :]))
     return with_joined(tree, _chosen(sets, found, pieces, seen.sum(0)))
 
 
@@ -91,20 +93,18 @@ def _seen(tree: Tree, things: Int64[np.ndarray, " t"], vote: Vote) -> csr_array:
 
 def _said(own: csr_array, vote: Vote) -> tuple[np.ndarray, ...]:
     """Return of each set how much a photo sees of it, its best IoU with a candidate, its outline, its framed share."""
-    candidates, seen = vote.tree.candidates(), own.sum(axis=1)
+    candidates, seen = vote.tree.candidates, own.sum(axis=1)
     if not candidates.shape[0]:
         return seen, *np.zeros((3, len(seen)))
     shared = (own @ candidates.T).toarray()
     fits = shared / np.maximum(seen[:, None] + candidates @ vote.weights.sum(axis=0) - shared, 1e-9)
     best = fits.argmax(1)
-    return seen, fits.max(1), vote.tree.outlines(candidates)[best], vote.tree.framed(candidates)[best]
+    return seen, fits.max(1), *(values[best] for values in vote.tree.bounds)
 
 
-def _proposed(
-    tree: Tree, things: Int64[np.ndarray, " t"], seen: Float64[np.ndarray, "v t"], votes: Votes
-) -> list[tuple[int, ...]]:
+def _proposed(tree: Tree, things: Int64[np.ndarray, " t"], seen: Float64[np.ndarray, "v t"], votes: Votes) -> list[Set]:
     """Return the sets of two or more things that candidates of photos hold, those of most photos first."""
-    counts: Counter[tuple[int, ...]] = Counter()
+    counts: Counter[Set] = Counter()
     for here, vote in zip(seen, votes(), strict=True):
         counts.update(set(_proposals(_seen(tree, things, vote), here, here > MIN_SEEN_SHARE * seen.max(0), vote)))
     return sorted(counts, key=lambda one: (-counts[one], one))[:MAX_SETS]
@@ -112,25 +112,23 @@ def _proposed(
 
 def _proposals(
     own: csr_array, seen: Float64[np.ndarray, " t"], sees: Bool[np.ndarray, " t"], vote: Vote
-) -> Iterator[tuple[int, ...]]:
-    candidates = vote.tree.candidates()
+) -> Iterator[Set]:
+    candidates = vote.tree.candidates
     shared = (own @ candidates.T).toarray()
     within = (shared > INSIDE_SHARE * seen[:, None]) & sees[:, None]
     both = (shared * within).sum(0)
     either = candidates @ vote.weights.sum(axis=0) + (seen[:, None] * within).sum(0) - both
-    good = (both > MIN_FIT * either) & (within.sum(0) > 1) & (vote.tree.framed(candidates) <= MAX_FRAMED)
+    good = (both > MIN_FIT * either) & (within.sum(0) > 1) & (vote.tree.bounds.framed <= MAX_FRAMED)
     for column in np.flatnonzero(good):
         yield tuple(np.flatnonzero(within[:, column]).tolist())
 
 
-def _membership(sets: Sequence[tuple[int, ...]], count: int) -> csr_array:
+def _membership(sets: Sequence[Set], count: int) -> csr_array:
     rows = np.repeat(np.arange(len(sets)), [len(one) for one in sets])
     return csr_array((np.ones(len(rows), np.float32), (rows, np.concatenate(sets))), shape=(len(sets), count))
 
 
-def _chosen(
-    sets: list[tuple[int, ...]], found: Worth, pieces: Worth, weight: Float64[np.ndarray, " t"]
-) -> list[Joined]:
+def _chosen(sets: list[Set], found: Worth, pieces: Worth, weight: Float64[np.ndarray, " t"]) -> list[Joined]:
     """Return the disjoint sets that are one thing, those of most weight times gain first."""
     gains: list[tuple[float, int]] = []
     for number, (one, worth, framed) in enumerate(zip(sets, *found, strict=True)):

@@ -216,17 +216,17 @@ def _with_objects(options: Options) -> Scene:
                 scene.field, tiles, parts=parts, launcher=launcher, threads=threads, track=options.track
             )
         elif options.vote:
-            from ...photos.embedding.voting import vote_for_objects
+            from ...photos.embedding.voting import vote_for_objects, votes_beside
 
             objects = vote_for_objects(
-                scene.field, scene.gaussians, scene.views, parts=parts, threads=threads, track=options.track
+                scene.field, scene.gaussians, scene.views, kept=votes_beside(path), threads=threads, track=options.track
             )
         else:
             from ...field.objects.finding import find_objects
 
             objects = find_objects(scene.field, scene.gaussians, threads=threads)
         scene.field.with_objects(objects).save(path, overwrite=True)
-    if options.parts is None and (options.vote or tiles is not None):
+    if options.parts is None and tiles is not None:
         shutil.rmtree(parts, ignore_errors=True)
     return _opened(options)
 

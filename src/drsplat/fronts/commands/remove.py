@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from .add import FieldToChange, answer_of, field_and_scene, show_change
@@ -34,6 +35,8 @@ class Options(Verb):
 def run(options: Options) -> Facts:
     from ...field.growing import change_field, remove_views
     from ...field.growing.naming import views_named
+    from ...photos.embedding.voting import vote_for_objects, votes_beside
+    from ...scene.moving import canonical_of
 
     path, gaussians = field_and_scene(options.of)
 
@@ -43,7 +46,10 @@ def run(options: Options) -> Facts:
         names = views_named(options.views, [*known, *before])
         return remove_views(field, gaussians, names, threads=options.threads, track=options.track)
 
-    return answer_of(change_field(path, gaussians, change, threads=options.threads), path)
+    vote = partial(
+        vote_for_objects, gaussians=canonical_of(gaussians), views=(), kept=votes_beside(path), threads=options.threads
+    )
+    return answer_of(change_field(path, gaussians, change, vote=vote, threads=options.threads), path)
 
 
 def show(answer: Facts) -> None:

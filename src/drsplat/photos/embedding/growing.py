@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ...field import LanguageField
@@ -10,9 +11,10 @@ from ...field.growing import Change, add_views, change_field
 from ...field.growing.folder import parts_beside, remove_parts
 from ...scene.gaussians import Gaussians
 from ...scene.masks.features import ViewFeatures
-from ...scene.moving import Moving
+from ...scene.moving import Moving, canonical_of
 from ...scene.views import View
 from .embed import recorded_words
+from .voting import vote_for_objects, votes_beside
 
 
 def grow_field(
@@ -41,7 +43,11 @@ def grow_field(
         )
         return done if done.is_empty else replace(done, field=with_words(done.field, folder))
 
-    done = change_field(path, scene, change, threads=threads)
+    vote = partial(
+        vote_for_objects, gaussians=canonical_of(scene), views=views, kept=votes_beside(path), threads=threads,
+        track=track,
+    )  # fmt: skip
+    done = change_field(path, scene, change, vote=vote, threads=threads)
     remove_parts(parts, [*done.added, *done.replaced, *done.unchanged])
     return done
 

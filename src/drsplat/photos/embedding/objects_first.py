@@ -19,7 +19,7 @@ from ...base.arrays import DoubleRows, Doubles, Embeddings, Indices, Int64, Othe
 from ...errors import InputError
 from ...field.codes import Track, untracked
 from ...field.evidence.evidence import Evidence
-from ...field.objects.describing import node_weights
+from ...field.objects.describing import node_weights, shown_in_photos
 from ...field.objects.finding import find_tree
 from ...field.registration import register
 from ...formats.embedding_record import Form, finished_photos, open_record
@@ -228,11 +228,9 @@ def node_fits(inside: csr_array, evidence: Evidence) -> csr_array:
         inside: (T, M) weight of each node in each mask.
         evidence: W of the same columns.
     """
-    views, count = evidence.masks.views, len(evidence.masks.view_names)
-    by_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
-    in_photos = csr_array(inside @ by_view)
     nodes = np.repeat(np.arange(inside.shape[0]), np.diff(inside.indptr))
-    either = in_photos[nodes, views[inside.indices]] + _column_sums(evidence)[inside.indices] - inside.data
+    in_photos = shown_in_photos(inside, evidence)[nodes, evidence.masks.views[inside.indices]]
+    either = in_photos + _column_sums(evidence)[inside.indices] - inside.data
     return csr_array((inside.data / np.maximum(either, 1e-12), inside.indices, inside.indptr), shape=inside.shape)
 
 

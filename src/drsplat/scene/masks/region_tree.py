@@ -1,6 +1,8 @@
 """A photo in small regions, and the order in which they merge into things: its hierarchy of candidates for masks."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -8,6 +10,17 @@ from scipy.sparse import csr_array
 from ...base.arrays import Doubles, Indices, Int32, MaskIds, Numbers
 
 MIN_AREA_SHARE, MAX_AREA_SHARE = 0.0008, 0.6  # of the photo, of a node that is a candidate
+
+
+class Bounds(NamedTuple):
+    """What bounds candidates.
+
+    outlines: mean strength of the outline along the border; 0 for what has none. framed: share of the border that is
+    the photo's frame.
+    """
+
+    outlines: Numbers
+    framed: Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +47,7 @@ class RegionTree:
         """Pixels of each region."""
         return np.bincount(self.labels.ravel())
 
+    @cached_property
     def candidates(self) -> csr_array:
         """Return which regions are in each candidate, (c, n) of 0 and 1: nodes of MIN_ to MAX_AREA_SHARE."""
         areas, inside = self.areas, [np.array([region]) for region in range(len(self))]
@@ -46,16 +60,13 @@ class RegionTree:
         columns = np.concatenate([np.empty(0, np.int64), *kept])
         return csr_array((np.ones(len(columns), np.float32), (rows, columns)), shape=(len(kept), len(self)))
 
-    def framed(self, candidates: csr_array) -> Numbers:
-        """Return the share of the border of each candidate that is the photo's frame."""
-        one, other = (candidates[:, side] for side in self.touching.T)
-        across = (one + other - 2 * one.multiply(other)) @ self.lengths
-        edges = (self.labels[0], self.labels[-1], self.labels[:, 0], self.labels[:, -1])
-        frame = candidates @ np.bincount(np.concatenate(edges), minlength=len(self))
-        return np.asarray(frame / np.maximum(across + frame, 1), np.float32)
-
-    def outlines(self, candidates: csr_array) -> Numbers:
-        """Return the mean strength of the outline along the border of each candidate; 0 for what has none."""
-        one, other = (candidates[:, side] for side in self.touching.T)
+    @cached_property
+    def bounds(self) -> Bounds:
+        """What bounds each candidate."""
+        one, other = (self.candidates[:, side] for side in self.touching.T)
         across = one + other - 2 * one.multiply(other)
-        return np.asarray(across @ self.strengths / np.maximum(across @ self.lengths, 1), np.float32)
+        lengths = across @ self.lengths
+        edges = (self.labels[0], self.labels[-1], self.labels[:, 0], self.labels[:, -1])
+        frame = self.candidates @ np.bincount(np.concatenate(edges), minlength=len(self))
+        found = across @ self.strengths / np.maximum(lengths, 1), frame / np.maximum(lengths + frame, 1)
+        return Bounds(*(np.asarray(values, np.float32) for values in found))
