@@ -97,7 +97,7 @@ def test_images_that_are_not_square_get_black_borders(mini: MiniEncoder) -> None
 
 
 def test_a_text_is_its_words_in_any_order_and_number(mini: MiniEncoder) -> None:
-    texts = ["a red mug", "Red mugs", "mug, red", "a photo of the red mug"]
+    texts = ["a red mug", "Red mugs", "mug, red", "a photo of the red mug", "mug of the color red", "red-coloured mug"]
     first, *others = mini.encode_texts(texts)
     assert_allclose(np.linalg.norm(first), 1, atol=1e-6)
     for other in others:
@@ -123,6 +123,17 @@ def test_what_it_was_not_taught_is_an_error(mini: MiniEncoder, text: str) -> Non
 def test_a_near_miss_is_helped(mini: MiniEncoder) -> None:
     with pytest.raises(InputError, match=r"'tabel'.*Did you mean 'table'"):
         mini.encode_texts(["tabel"])
+
+
+@pytest.mark.parametrize(("word", "near"), [("dolls", "toy"), ("scissors", "knife"), ("wardrobe", "furniture")])
+def test_the_nearest_in_meaning_is_named(mini: MiniEncoder, word: str, near: str) -> None:
+    with pytest.raises(InputError, match=f"not taught '{word}'. The nearest to '{word}' that it knows: {near}[.,]"):
+        mini.encode_texts([f"red {word}"])
+
+
+def test_what_has_nothing_near_is_not_guessed(mini: MiniEncoder) -> None:
+    with pytest.raises(InputError, match=r"not taught 'umbrella'\. It knows"):
+        mini.encode_texts(["umbrella"])
 
 
 def test_swapped_texts_have_the_colour_or_the_thing_and_not_both() -> None:
@@ -189,7 +200,8 @@ def test_every_thing_is_what_its_words_say(name: str, color: str, material: str)
     ("text", "words"),
     [("an orange", ["orange"]), ("oranges", ["orange"]), ("orange carrots", [ORANGE, "carrot"]),
      ("orange orange", [ORANGE, "orange"]), ("something orange", [ORANGE]), ("orange thing", [ORANGE, "thing"]),
-     ("red orange", ["red", "orange"]), ("anything that is orange", [ORANGE])],
+     ("red orange", ["red", "orange"]), ("anything that is orange", [ORANGE]),
+     ("the colour orange", [ORANGE])],
 )  # fmt: skip
 def test_an_orange_is_a_fruit_or_a_colour(text: str, words: list[str]) -> None:
     assert words_of(text) == words
