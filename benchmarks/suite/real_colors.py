@@ -22,8 +22,9 @@ TRUTH = {
     },
     "brighton_beach": {
         "lawn": ("green", "yellow brown"), "island": ("green", "brown yellow"), "table": ("green", "grey blue"),
-        "car_1": ("black", "grey"), **{f"car_{number}": ("", "grey white blue black") for number in range(2, 7)},
+        "car_1": ("black", "grey"), "car_2": ("", "grey white blue"), "car_3": ("", "grey white black"),
+        "car_4": ("red", ""), "car_5": ("black", "grey blue"), "car_6": ("", "grey blue black"),
         "shelter": ("grey", "brown white black"),
     },
 }  # fmt: skip
-NOT_THERE = {"plush": "yellow", "desk_penguin": "purple", "brighton_beach": "red orange pink purple yellow"}
+NOT_THERE = {"plush": "yellow", "desk_penguin": "purple", "brighton_beach": "orange pink purple yellow"}

@@ -98,7 +98,7 @@ def test_images_that_are_not_square_get_black_borders(mini):
 
 
 def test_a_text_is_its_words_in_any_order_and_number(mini):
-    texts = ["a red mug", "Red mugs", "mug, red", "a photo of the red mug"]
+    texts = ["a red mug", "Red mugs", "mug, red", "a photo of the red mug", "mug of the color red", "red-coloured mug"]
     first, *others = mini.encode_texts(texts)
     assert_allclose(np.linalg.norm(first), 1, atol=1e-6)
     for other in others:
@@ -124,6 +124,17 @@ def test_what_it_was_not_taught_is_an_error(mini, text):
 def test_a_near_miss_is_helped(mini):
     with refused(r"'tabel'.*Did you mean 'table'"):
         mini.encode_texts(["tabel"])
+
+
+@pytest.mark.parametrize(("word", "near"), [("dolls", "toy"), ("scissors", "knife"), ("wardrobe", "furniture")])
+def test_the_nearest_in_meaning_is_named(mini, word, near):
+    with refused(f"not taught '{word}'. The nearest to '{word}' that it knows: {near}[.,]"):
+        mini.encode_texts([f"red {word}"])
+
+
+def test_what_has_nothing_near_is_not_guessed(mini):
+    with refused(r"not taught 'umbrella'\. It knows"):
+        mini.encode_texts(["umbrella"])
 
 
 def test_swapped_texts_have_the_colour_or_the_thing_and_not_both():
@@ -190,7 +201,8 @@ def test_every_thing_is_what_its_words_say(name, color, material):
     ("text", "words"),
     [("an orange", ["orange"]), ("oranges", ["orange"]), ("orange carrots", [ORANGE, "carrot"]),
      ("orange orange", [ORANGE, "orange"]), ("something orange", [ORANGE]), ("orange thing", [ORANGE, "thing"]),
-     ("red orange", ["red", "orange"]), ("anything that is orange", [ORANGE])],
+     ("red orange", ["red", "orange"]), ("anything that is orange", [ORANGE]),
+     ("the colour orange", [ORANGE])],
 )  # fmt: skip
 def test_an_orange_is_a_fruit_or_a_colour(text, words):
     assert words_of(text) == words

@@ -84,7 +84,7 @@ export class SummedWords implements Words {
 
   /** Return the words that count, in singular; "orange" is a colour before another word, else the fruit. */
   wordsOf(text: string): string[] {
-    const spoken: string[] = text.toLowerCase().match(/\p{L}+/gu) ?? [], counting = spoken.filter((word) => !this.ignored.has(word)), painted = ["something", "anything", "one", "ones"].some((word) => spoken.includes(word));
+    const spoken: string[] = text.toLowerCase().match(/\p{L}+/gu) ?? [], counting = spoken.filter((word) => !this.ignored.has(word)), painted = ["something", "anything", "one", "ones", "color", "colour"].some((word) => spoken.includes(word));
     return counting.map((word, at) => (word === "orange" && (painted || at < counting.length - 1) ? this.lexicon.orange : this.singular(word)));
   }
 

@@ -1,6 +1,6 @@
 """Which words a query is contrasted with."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cache
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -12,6 +12,8 @@ from ...errors import InputError
 from ...formats.vocabulary import VocabularyEncoder, spellings
 from ...scene.encoders import Encoder
 
+LARGEST_KIND = 40  # names that a kind has at most which says what a word means; "furniture" has 36
+LARGEST_NEAR_KIND = 22  # the same of a kind whose names have to stand for each other
 MAX_TEXTS = 2000  # of a vocabulary: more make a first question slow
 _THINGS = """
 apple, banana, orange, pear, lemon, grapes, strawberry, watermelon, tomato, carrot, potato, onion, pepper, cucumber,
@@ -128,3 +130,16 @@ def names_under(text: str) -> frozenset[str]:
     Source: the hypernyms of WordNet 3.0; `kinds.txt`, made by scripts/make_kinds.py, has its licence.
     """
     return next((_kinds()[one] for one in spellings(text) if one in _kinds()), frozenset())
+
+
+def nearest_in_meaning(word: str, known: Collection[str]) -> list[str]:
+    """Return the known words of the smallest kind that a word is of: "toy" for "doll", "knife" for "scissors".
+
+    known: where the kind itself is one of them, it is all that is returned. [] where no small kind has any.
+    """
+    meant = set(spellings(word))
+    for kind, names in sorted(_kinds().items(), key=lambda one: (len(one[1]), one[0] not in known)):
+        near = [kind] if kind in known else sorted(names.intersection(known))
+        if near and len(names) <= (LARGEST_KIND if kind in known else LARGEST_NEAR_KIND) and meant & names:
+            return near
+    return []

@@ -11,6 +11,7 @@ from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
 from ....kernels.algebra import convolve, dense_rows
 from ....scene.encoders import EncoderIdentity
+from ..word_list import nearest_in_meaning
 from .lexicon import (
     COLORS,
     NAMES,
@@ -109,12 +110,17 @@ def _unknown(text: str, strange: Sequence[str]) -> str:
     language, english = from_other_language(words_of(text))
     if english:
         return f"{text!r} is {language}, and the built-in encoder reads English: ask for {english!r}"
-    meant = "".join(did_you_mean(word, WORDS, 2) for word in strange)
+    meant = "".join(_nearest(word) or did_you_mean(word, WORDS, 2) for word in strange)
     return (
         f"the built-in encoder was not taught {', '.join(map(repr, strange))}.{meant} It knows "
         f"{len(WORDS) + len(SYNONYMS)} English words: {', '.join(NAMES)}; {', '.join(COLORS)}; and kinds, materials "
         "and other names of these. For all others embed the photos with CLIP (`drsplat embed CAPTURE`), then register"
     )
+
+
+def _nearest(word: str) -> str:
+    near = nearest_in_meaning(word, WORDS)
+    return f" The nearest to {word!r} that it knows: {', '.join(near)}." if near else ""
 
 
 def _pixels(images: Sequence[OtherPixels]) -> Float32[np.ndarray, "n s s 3"]:

@@ -59,7 +59,7 @@ SYNONYMS = {
         "picture": "photograph poster artwork print", "bread": "baguette toast bun", "ball": "football basketball",
         "orange": "tangerine mandarin clementine", "basket": "hamper", "candle": "candlestick", "vase": "urn",
         "mug": "beaker tankard", "clock": "alarm", "bear": "teddybear", "car": "automobile", "duck": "duckling",
-        "shelf": "shelving", "box": "crate chest",
+        "shelf": "shelving", "box": "crate chest", "plush": "stuffed",
     }.items()
     for word in words.split()
 }  # fmt: skip
@@ -70,7 +70,8 @@ ANYTHING = ("object", "thing", "stuff", "texture", "item")
 
 IGNORED = frozenset(
     [
-        "a", "an", "and", "any", "anything", "at", "by", "close", "find", "for", "from", "image", "in", "is", "it",
+        "a", "an", "and", "any", "anything", "at", "by", "close", "color",
+        "colored", "colour", "coloured", "find", "for", "from", "image", "in", "is", "it",
         "me", "my", "of", "on", "one", "ones", "or", "photo", "show", "some", "something", "that", "the", "this", "to",
         "up", "used", "where", "which", "with", "you", "your",
     ]
@@ -89,11 +90,12 @@ _KNOWN = {*WORDS, *SYNONYMS}
 def words_of(text: str) -> list[str]:
     """Return the meaningful words of a text, in singular; unknown ones are included.
 
-    "orange" is the colour before another word, in "something orange" and in "the orange one", else the fruit.
+    "orange" is the colour before another word, in "something orange", "the orange one" and "the colour orange", else
+    the fruit.
     """
     spoken = re.findall(r"[^\W\d_]+", text.lower())
     counting = [(word, _singular(word)) for word in spoken if word not in IGNORED]
-    painted = not {"something", "anything", "one", "ones"}.isdisjoint(spoken)
+    painted = not {"something", "anything", "one", "ones", "color", "colour"}.isdisjoint(spoken)
     last = len(counting) - 1
     return [
         ORANGE if word == "orange" and (painted or at < last) else single for at, (word, single) in enumerate(counting)
