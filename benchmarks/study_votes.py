@@ -70,7 +70,7 @@ from drsplat.scene.masks.selection import mask_maps
 from drsplat.scene.parted import middle
 
 LEVEL = 0.5  # of IoU, from which on an object is a thing
-VOTES_HEAD = "| place | P, R (listed) | voted | IoU | click | select |\n|---|--:|--:|--:|--:|--:|"
+VOTES_HEAD = "| today/voted | P | R | listed | IoU | click | select |\n|---|--:|--:|--:|--:|--:|--:|"
 SURFACE_HEAD = "| place | surfaces | right, of known | what they are | surfaces there (said) |\n|---|--:|--:|---|---|"
 CLICKED, MIN_PIXELS = 4, 100  # photos of a thing that are clicked into; pixels that show it there
 WRONG = 0.2  # of the masks, which show something else than their thing
@@ -346,21 +346,20 @@ def resized(ids: np.ndarray, view: View) -> np.ndarray:
     return np.asarray(Image.fromarray(ids.astype(np.int32)).resize(view.size, Image.Resampling.NEAREST))
 
 
-def said_of(found: Found) -> str:
-    return f"{found.precision:.2f}, {found.recall:.2f} ({found.listed})"
+def said_of(found: Found) -> tuple[str, ...]:
+    return f"{found.precision:.2f}", f"{found.recall:.2f}", str(found.listed), f"{found.best:.3f}"
 
 
 def side_by_side(study: Study, words: Clip | None, pictures: Path | None) -> tuple[str, ...]:
-    """Today's and voted objects: list, best object, click, select."""
+    """Today's objects and voted ones, with a slash between them: list, best object, click, select."""
     trees = [study.tree(study.evidence)]
     trees.append(with_voted(trees[0], lambda: study.votes))
     if pictures:
         draw(study.place, study.ids, *trees, pictures / f"{study.place.name.replace(', ', '_')}.jpg")
-    found = [study.found(tree) for tree in trees]
-    best = " -> ".join(f"{one.best:.3f}" for one in found)
-    clicks = " -> ".join(f"{study.clicks(tree):.3f}" for tree in trees)
-    select = " -> ".join(f"{study.selected(words, votes):.3f}" for votes in (None, study.votes)) if words else "-"
-    return study.place.name, *map(said_of, found), best, clicks, select
+    columns = list(zip(*(said_of(study.found(tree)) for tree in trees), strict=True))
+    columns.append(tuple(f"{study.clicks(tree):.3f}" for tree in trees))
+    selected = [f"{study.selected(words, votes):.3f}" for votes in (None, study.votes)] if words else ["-"]
+    return study.place.name, *map("/".join, [*columns, selected])
 
 
 def draw(place: Place, ids: np.ndarray, before: Tree, after: Tree, path: Path) -> None:
@@ -407,7 +406,7 @@ def main() -> None:
             print(line(side_by_side(study, words, arguments.pictures)), flush=True)
         if arguments.voices or arguments.only_voices:
             for name, found in study.voices():
-                print(line((name, "", said_of(found), f"{found.best:.3f}", "", "")), flush=True)
+                print(line((name, *said_of(found), "", "")), flush=True)
     print(f"\npeak memory {peak_memory_bytes() / 2**20:.0f} MiB")
 
 

@@ -29,6 +29,10 @@ from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.morton import morton_codes, morton_order
 from .choosing import NONE, _owners, pairs_above
 
+NodeFlags = Bool[np.ndarray, " t"]
+OfNodes = Int32[np.ndarray, " t"]
+OfMasks = Int32[np.ndarray, " m"]
+
 EDGE_SHARE = 0.9  # of the way to the end of the surroundings: what has rows beyond it goes on outside
 INNER_SHARE = 2 / 3  # of that way: rows within tell which nodes of two blocks are one
 MIN_SHOWN_SHARE = 0.01  # of a block's weight in the best view
@@ -75,8 +79,8 @@ class BlockRows(NamedTuple):
     indptr: Int64[np.ndarray, " n1"]
     indices: Int32[np.ndarray, " e"]
     data: Float32[np.ndarray, " e"]
-    columns: Int32[np.ndarray, " m"]
-    views: Int32[np.ndarray, " m"]
+    columns: OfMasks
+    views: OfMasks
     masses: Float64[np.ndarray, " m"]
     embeddings: Float32[np.ndarray, "m k"]
 
@@ -90,7 +94,7 @@ class MaskColumns(NamedTuple):
 
     kept: Bool[np.ndarray, " m"]
     masses: Float64[np.ndarray, " m"]
-    views: Int32[np.ndarray, " m"]
+    views: OfMasks
     embeddings: Float32[np.ndarray, "m k"]
 
 
@@ -156,11 +160,11 @@ class BlockNodes(NamedTuple):
     lowest: Ids
     inside: Flags
     sure: Flags
-    parents: Int32[np.ndarray, " t"]
-    ranks: Int32[np.ndarray, " t"]
+    parents: OfNodes
+    ranks: OfNodes
     fits: Float32[np.ndarray, " t"]
     spreads: Float32[np.ndarray, " t"]
-    cut: Bool[np.ndarray, " t"]
+    cut: NodeFlags
     indptr: Int64[np.ndarray, " c1"]
     indices: Int32[np.ndarray, " e"]
     data: Float32[np.ndarray, " e"]
@@ -198,7 +202,7 @@ def _seeing(block: BlockRows, inside: Flags) -> Int32[np.ndarray, " v"]:
     return np.flatnonzero(shown > MIN_SHOWN_SHARE * shown.max(initial=0)).astype(np.int32)
 
 
-def _holding_any(parents: Int64[np.ndarray, " t"], nodes: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " t"]:
+def _holding_any(parents: Int64[np.ndarray, " t"], nodes: Int64[np.ndarray, " k"]) -> NodeFlags:
     """Mark nodes that are among some or above one of them."""
     holding, at = np.zeros(len(parents), bool), np.unique(nodes[nodes >= 0])
     while len(at):
@@ -208,7 +212,7 @@ def _holding_any(parents: Int64[np.ndarray, " t"], nodes: Int64[np.ndarray, " k"
     return holding
 
 
-def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> Int32[np.ndarray, " t"]:
+def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> OfNodes:
     """Return the round of each merge: two for each threshold, the second where one of the first is merged further."""
     steps = np.searchsorted(-np.array(thresholds, np.float32), -forest.agreements)
     (below,) = np.nonzero((forest.parents >= 0) & (forest.sizes > 1))
@@ -218,9 +222,7 @@ def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> Int32[np.ndarray, "
     return (2 * steps + again).astype(np.int32)
 
 
-def _sums(
-    weights: csr_array, nodes: Indices, parents: Int64[np.ndarray, " t"], cut: Bool[np.ndarray, " t"]
-) -> csr_array:
+def _sums(weights: csr_array, nodes: Indices, parents: Int64[np.ndarray, " t"], cut: NodeFlags) -> csr_array:
     """Return (C, M) the weights of the rows in each node that is cut. nodes: the lowest of each row, -1 for none."""
     (rows,), count = np.nonzero(nodes >= 0), len(parents)
     own = csr_array((np.ones(len(rows), np.float32), (nodes[rows], rows)), shape=(count, len(nodes)))

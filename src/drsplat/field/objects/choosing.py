@@ -8,6 +8,8 @@ from ...base.arrays import Bool, Float32, Float64, Indices, Int32, Int64, Intege
 from ...kernels import Forest
 from ..forest import GROUP, PART, THING
 
+NodeIds = Int32[np.ndarray, " t"]
+NodeWorth = Float64[np.ndarray, " t"]
 NodeFlags = Bool[np.ndarray, " t"]
 NodeNumbers = Int64[np.ndarray, " t"]
 AnyNodeNumbers = Integer[np.ndarray, " t"]
@@ -23,7 +25,7 @@ class Tree(NamedTuple):
     """The nodes that are kept, as in `Objects`. node_of: of each row. sure: how well masks of the photos fit a node."""
 
     node_of: Int32[np.ndarray, " r"]
-    parents: Int32[np.ndarray, " t"]
+    parents: NodeIds
     levels: UInt8[np.ndarray, " t"]
     sure: Float32[np.ndarray, " t"]
 
@@ -58,9 +60,7 @@ def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: i
     return _with_rests(_tree_of(forest, node_of, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
 
 
-def _small_things(
-    parents: NodeNumbers, sizes: Int32[np.ndarray, " t"], fits: Float64[np.ndarray, " t"], things: NodeFlags
-) -> NodeFlags:
+def _small_things(parents: NodeNumbers, sizes: NodeIds, fits: NodeWorth, things: NodeFlags) -> NodeFlags:
     """Return the nodes strictly within things that are small on them, and that masks of the photos still fit.
 
     A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
@@ -74,7 +74,7 @@ def _small_things(
     return np.asarray(small & (taken <= sizes / 2)[thing])
 
 
-def _within(parents: Int32[np.ndarray, " t"], nodes: Indices) -> Indices:
+def _within(parents: NodeIds, nodes: Indices) -> Indices:
     """Return the forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
     among = np.zeros(len(parents), bool)
     among[nodes] = True
@@ -82,7 +82,7 @@ def _within(parents: Int32[np.ndarray, " t"], nodes: Indices) -> Indices:
     return np.asarray(number[_above(parents, among)[nodes]])
 
 
-def best_nodes(parents: AnyNodeNumbers, worth: Float64[np.ndarray, " t"]) -> NodeFlags:
+def best_nodes(parents: AnyNodeNumbers, worth: NodeWorth) -> NodeFlags:
     """Return the set of nodes, none above another, of the largest sum of worth; negative worth is never chosen.
 
     Of sets of equal sums it is the one of larger nodes. Linear: children come before their parents.
@@ -121,7 +121,7 @@ def pairs_above(parents: AnyNodeNumbers) -> tuple[Int64[np.ndarray, " p"], Int64
     return np.concatenate(lower), np.concatenate(upper)
 
 
-def _parts(parents: NodeNumbers, worth: Float64[np.ndarray, " t"], things: NodeFlags) -> NodeFlags:
+def _parts(parents: NodeNumbers, worth: NodeWorth, things: NodeFlags) -> NodeFlags:
     """Return the best nodes strictly within things, where a thing has two or more."""
     thing = _above(parents, things)
     best = best_nodes(parents, np.where(thing >= 0, worth, NONE))

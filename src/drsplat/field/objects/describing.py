@@ -21,7 +21,7 @@ from ...kernels.boxes import Boxes, boxes_of
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
-from ..evidence.aggregation.entries import row_chunks
+from ..evidence.aggregation.entries import entry_rows, row_chunks
 from ..evidence.evidence import Evidence
 from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
 from .choosing import Tree, pairs_above
@@ -183,7 +183,7 @@ def _masses(
 def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"]:
     """Return the photos that show more than a sliver of each node."""
     shown = shown_in_photos(weights, evidence)
-    nodes = np.repeat(np.arange(shown.shape[0]), np.diff(shown.indptr))
+    nodes = entry_rows(shown)
     most = np.zeros(shown.shape[0])
     np.maximum.at(most, nodes, shown.data)
     return np.bincount(nodes[shown.data > MIN_SHOWN_SHARE * most[nodes]], minlength=shown.shape[0]).astype(np.int32)
@@ -251,7 +251,7 @@ class _Clusters:
 
     @cached_property
     def rows(self) -> Entries:
-        return np.repeat(np.arange(self.weights.shape[0]), np.diff(self.weights.indptr))
+        return entry_rows(self.weights)
 
     def settle(self, labels: Entries, part: Int64[np.ndarray, " p"], count: int) -> None:
         """Move the entries of `part` to the cluster of the nearest centre, the first of equal ones, in some rounds."""
@@ -315,7 +315,7 @@ class _Clusters:
 
 def heaviest(matrix: csr_array, most: int) -> csr_array:
     """Return up to `most` entries of each row, the heaviest first, of equal ones the first column first."""
-    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    rows = entry_rows(matrix)
     (heavy,) = np.nonzero(matrix.data >= _bars(matrix, most)[rows])  # and more, where some are equal
     order = heavy[np.lexsort((matrix.indices[heavy], -matrix.data[heavy], rows[heavy]))]
     begins = np.searchsorted(rows[order], np.arange(matrix.shape[0]))

@@ -8,7 +8,9 @@ from scipy.sparse import csr_array
 from ...base.arrays import Float64, Int64, Integer
 from ...errors import InputError
 from .. import LanguageField
+from ..evidence.aggregation.entries import entry_rows
 
+OfDrifting = Int64[np.ndarray, " g"]
 CLEAR_SHARE = 0.8  # of a Gaussian's weight in masks of one object
 
 
@@ -20,10 +22,10 @@ class Drifting(NamedTuple):
     is of none.
     """
 
-    gaussian_ids: Int64[np.ndarray, " g"]
+    gaussian_ids: OfDrifting
     shares: Float64[np.ndarray, " g"]
-    first: Int64[np.ndarray, " g"]
-    last: Int64[np.ndarray, " g"]
+    first: OfDrifting
+    last: OfDrifting
 
 
 def drifting(field: LanguageField) -> Drifting:
@@ -41,7 +43,7 @@ def drifting(field: LanguageField) -> Drifting:
     weights, masks = field.evidence.weights, field.evidence.masks
     owner = _owners(weights, field.objects.thing_of())
     stamps, when = np.unique(field.times, return_inverse=True)
-    rows = np.repeat(np.arange(len(field)), np.diff(weights.indptr))
+    rows = entry_rows(weights)
     at = rows * len(stamps) + when[masks.views[weights.indices]]
     return _judged(field, _sums(at, owner[weights.indices] + 1, weights.data), len(stamps))
 

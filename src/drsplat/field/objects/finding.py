@@ -46,6 +46,7 @@ from .describing import describe
 from .joining import join, with_joined
 from .uniting import Masses, united
 
+RowGaussians = UInt32[np.ndarray, " r"]
 Places = Float32[np.ndarray, "r 3"]
 MERGE_THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
 SOFT_SIGHT_SHARE = 0.55  # of what a photo shows of a Gaussian on average
@@ -144,7 +145,7 @@ def find_objects(
 
 
 def find_tree(
-    evidence: Evidence, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
+    evidence: Evidence, gaussians: Gaussians, ids: RowGaussians, views: Sequence[View], *, threads: int = 0
 ) -> Tree:
     """Return the parts, things and groups of a scene. Where masks have equal embeddings, W alone decides.
 
@@ -199,9 +200,7 @@ def divided(evidence: Evidence, points: Places) -> Division:
     return Division(evidence, points, kept, totals, embeddings, MERGE_THRESHOLDS, rule)
 
 
-def of_pieces(
-    tree: Tree, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
-) -> Tree:
+def of_pieces(tree: Tree, gaussians: Gaussians, ids: RowGaussians, views: Sequence[View], *, threads: int = 0) -> Tree:
     """Return the tree with pieces joined to the things that they are of. ids: the Gaussians of its rows."""
     if not views:
         return tree
@@ -209,7 +208,7 @@ def of_pieces(
     return with_pieces_joined(tree, borders(gaussians, views, pieces, threads=threads))
 
 
-def pieces_of(tree: Tree, ids: UInt32[np.ndarray, " r"], count: int) -> Ids:
+def pieces_of(tree: Tree, ids: RowGaussians, count: int) -> Ids:
     """Return the thing of each of `count` Gaussians, numbered in the order of nodes, -1 for none."""
     (things,) = np.nonzero(tree.levels == THING)
     owners = _owners(tree.parents, tree.levels == THING)

@@ -13,9 +13,13 @@ from scipy.sparse.csgraph import connected_components
 
 from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
 from ...kernels import Forest
+from ..evidence.aggregation.entries import entry_rows
 from .block_nodes import BlockNodes
 from .choosing import NONE
 
+AnyNodes = Integer[np.ndarray, " t"]
+OfNodes = Int32[np.ndarray, " t"]
+NodeNumbers = Int64[np.ndarray, " t"]
 OfPairs = Int64[np.ndarray, " p"]
 
 WHOLE_SHARE = 0.8  # of a region's rows: a node that has as many, and is not cut, tells how well masks fit it
@@ -92,12 +96,10 @@ def _shared(one: BlockNodes, other: BlockNodes, first: int, second: int) -> Shar
 class _Classes:
     """Regions of the scene, each a class of nodes of blocks, round by round."""
 
-    def __init__(
-        self, parents: Integer[np.ndarray, " t"], ranks: Integer[np.ndarray, " t"], shared: list[Shared]
-    ) -> None:
+    def __init__(self, parents: AnyNodes, ranks: AnyNodes, shared: list[Shared]) -> None:
         self.parents, self.ranks, self.shared = parents, ranks, shared
 
-    def grown(self) -> tuple[Int32[np.ndarray, " u"], tuple[np.ndarray, np.ndarray], Int32[np.ndarray, " t"]]:
+    def grown(self) -> tuple[Int32[np.ndarray, " u"], tuple[np.ndarray, np.ndarray], OfNodes]:
         """Return the parents of all classes, pairs (class, node of it), and the class that each node begins in."""
         count = len(self.parents)
         of, begins = np.full(count, NONE), np.full(count, NONE)  # the class of each node that is on top, now and first
@@ -131,9 +133,7 @@ class _Classes:
         together = np.concatenate(pairs, axis=1)
         return whole, (together[0], together[1]), begins.astype(np.int32)
 
-    def _labels(
-        self, top: Int64[np.ndarray, " t1"], before: Int64[np.ndarray, " k"], of: Int64[np.ndarray, " t"]
-    ) -> Int32[np.ndarray, " t"]:
+    def _labels(self, top: Int64[np.ndarray, " t1"], before: Int64[np.ndarray, " k"], of: NodeNumbers) -> OfNodes:
         """Return a number for each node; nodes on top that are one region now have the same."""
         order = before[np.argsort(of[before], kind="stable")]
         same = of[order][1:] == of[order][:-1]
@@ -145,7 +145,7 @@ class _Classes:
         return np.asarray(connected_components(graph, directed=False)[1])
 
 
-def _tops(parents: Integer[np.ndarray, " t"], born: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
+def _tops(parents: AnyNodes, born: Bool[np.ndarray, " t"]) -> NodeNumbers:
     """Return the highest node above each, or itself, among those that are born; parents are born after children."""
     up = np.where((parents >= 0) & born[parents], parents, np.arange(len(parents)))
     while (up != (further := up[up])).any():
@@ -205,7 +205,7 @@ def fits_of(weights: csr_array, masses: Masses) -> Float64[np.ndarray, " t"]:
     weights: of each region in each mask. Twin: host/regions.cpp, `fit`.
     """
     weights.sort_indices()
-    rows = np.repeat(np.arange(weights.shape[0]), np.diff(weights.indptr))
+    rows = entry_rows(weights)
     order = np.lexsort((masses.views[weights.indices], rows))
     rows, columns, data = rows[order], weights.indices[order], weights.data[order].astype(np.float64)
     if not len(rows):
@@ -222,8 +222,8 @@ def fits_of(weights: csr_array, masses: Masses) -> Float64[np.ndarray, " t"]:
 
 
 def _sums(
-    parents: Int32[np.ndarray, " t"], node_of: Int32[np.ndarray, " r"], weights: Float64[np.ndarray, " w"]
-) -> tuple[Int64[np.ndarray, " t"], Float64[np.ndarray, " t"]]:
+    parents: OfNodes, node_of: Int32[np.ndarray, " r"], weights: Float64[np.ndarray, " w"]
+) -> tuple[NodeNumbers, Float64[np.ndarray, " t"]]:
     """Return how many rows each node has, and their weight; no weights: 0."""
     held = node_of >= 0
     sizes = np.bincount(node_of[held], minlength=len(parents))

@@ -29,6 +29,7 @@ LARGE_SHARE = 0.1  # of a set: pieces of so much may not be worth more than all 
 MAX_SHARE = 0.35  # of all weight: what is more is the room
 WORTH_DECIMALS = 6  # the last bits of sums depend on the processor
 MAX_FRAMED = 0.05  # of the border of a set: what photos cut off is a surface
+Things = Int64[np.ndarray, " t"]
 Set = tuple[int, ...]
 
 
@@ -66,7 +67,7 @@ def with_voted(tree: Tree, votes: Votes) -> Tree:
     return with_joined(tree, _chosen(sets, found, pieces, seen.sum(0)))
 
 
-def worth_of(sets: csr_array, tree: Tree, things: Int64[np.ndarray, " t"], votes: Votes) -> Worth:
+def worth_of(sets: csr_array, tree: Tree, things: Things, votes: Votes) -> Worth:
     """Return what sets of things are worth, (s, t) of 0 and 1.
 
     It is the median, over the photos that see the set, of its IoU with the best candidate there, times the mean
@@ -84,7 +85,7 @@ def worth_of(sets: csr_array, tree: Tree, things: Int64[np.ndarray, " t"], votes
     return Worth(*(np.round(values, WORTH_DECIMALS) for values in (worth, cut_off)))
 
 
-def _seen(tree: Tree, things: Int64[np.ndarray, " t"], vote: Vote) -> csr_array:
+def _seen(tree: Tree, things: Things, vote: Vote) -> csr_array:
     """Return the weight of each thing in each region of a photo, (t, n)."""
     count = vote.weights.shape[1]
     masks = MaskIds((vote.view_name,), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
@@ -102,7 +103,7 @@ def _said(own: csr_array, vote: Vote) -> tuple[np.ndarray, ...]:
     return seen, fits.max(1), *(values[best] for values in vote.tree.bounds)
 
 
-def _proposed(tree: Tree, things: Int64[np.ndarray, " t"], seen: Float64[np.ndarray, "v t"], votes: Votes) -> list[Set]:
+def _proposed(tree: Tree, things: Things, seen: Float64[np.ndarray, "v t"], votes: Votes) -> list[Set]:
     """Return the sets of two or more things that candidates of photos hold, those of most photos first."""
     counts: Counter[Set] = Counter()
     for here, vote in zip(seen, votes(), strict=True):

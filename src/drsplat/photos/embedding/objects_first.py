@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from ...base.arrays import DoubleRows, Doubles, Embeddings, Indices, Int64, OtherEmbeddings, OtherIndices, Points
 from ...errors import InputError
 from ...field.codes import Track, untracked
+from ...field.evidence.aggregation.entries import entry_rows
 from ...field.evidence.evidence import Evidence
 from ...field.objects.describing import node_weights, shown_in_photos
 from ...field.objects.finding import find_tree
@@ -228,7 +229,7 @@ def node_fits(inside: csr_array, evidence: Evidence) -> csr_array:
         inside: (T, M) weight of each node in each mask.
         evidence: W of the same columns.
     """
-    nodes = np.repeat(np.arange(inside.shape[0]), np.diff(inside.indptr))
+    nodes = entry_rows(inside)
     in_photos = shown_in_photos(inside, evidence)[nodes, evidence.masks.views[inside.indices]]
     either = in_photos + _column_sums(evidence)[inside.indices] - inside.data
     return csr_array((inside.data / np.maximum(either, 1e-12), inside.indices, inside.indptr), shape=inside.shape)
@@ -248,7 +249,7 @@ def _camera_centers(evidence: Evidence, views: Sequence[View]) -> Points:
 
 def _best_nodes(fits: csr_array) -> tuple[Indices, Doubles]:
     """Return for each mask the node that it fits best, -1 where none by more than MIN_FIT, and the fit."""
-    nodes = np.repeat(np.arange(fits.shape[0]), np.diff(fits.indptr))
+    nodes = entry_rows(fits)
     order = np.lexsort((nodes, -fits.data, fits.indices))
     columns, first = np.unique(fits.indices[order], return_index=True)
     node_of, fit = np.full(fits.shape[1], -1), np.zeros(fits.shape[1])

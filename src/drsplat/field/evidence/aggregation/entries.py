@@ -145,6 +145,11 @@ def of_columns(evidence: Evidence, kept: Flags) -> Evidence:
     return replace(evidence, weights=matrix)
 
 
+def entry_rows(matrix: csr_array) -> Indices:
+    """Return the row of each entry."""
+    return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+
+
 def column_counts(weights: csr_array) -> Indices:
     """Count the entries of each column."""
     counts = np.zeros(weights.shape[1], np.int64)
