@@ -235,7 +235,8 @@ def draw_worst(places: Mapping[str, Eyes], wordnet: WordNet, path: Path) -> None
     for number, (likely, name, at, called) in enumerate(sorted(found)[:WORST], start=1):
         picture = places[name].looked.pictures[at].resize(TILE)
         cards.append(Card(np.asarray(picture), f"{number}. {called}", [f"{-likely:.2f}, {name}"]))
-    write_picture(path, card_sheet(cards, COLUMNS, "Names by ImageNet's classes", "The likeliest class of an object"))
+    sheet = card_sheet(cards, COLUMNS, "Names by ImageNet's classes", "The likeliest class of an object")
+    write_picture(path, sheet, overwrite=True)
 
 
 def main() -> None:

@@ -104,6 +104,10 @@ MADE: dict[str, Made] = {
         "python benchmarks/study_worst.py --records FILE, eight of its pictures",
         (ROOT / "benchmarks" / "study_worst.py",),
     ),
+    "worst_names.jpg": Made(
+        "python benchmarks/study_eyes.py PLACE=FIELD... --kept FOLDER --worst docs/images/worst_names.jpg",
+        tuple(ROOT / "benchmarks" / name for name in ("suite/looking.py", "suite/real_eyes.py")),
+    ),
     "refusal.svg": Made(
         "python benchmarks/study_rules.py --curve docs/images/refusal.svg",
         tuple(ROOT / "benchmarks" / name for name in ("study_rules.py", "suite/rules.py", "suite/chart.py")),
