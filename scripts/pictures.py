@@ -96,6 +96,10 @@ MADE: dict[str, Made] = {
         "study_worst.py --records FILE at 4a01ca08, eight of its pictures",
         (ROOT / "benchmarks" / "suite" / "rules.py",),
     ),
+    "worst_names.jpg": Made(
+        "python benchmarks/study_eyes.py PLACE=FIELD... --kept FOLDER --worst docs/images/worst_names.jpg",
+        tuple(ROOT / "benchmarks" / name for name in ("suite/looking.py", "suite/real_eyes.py")),
+    ),
     "refusal.svg": Made(
         "python benchmarks/study_rules.py --curve docs/images/refusal.svg",
         tuple(ROOT / "benchmarks" / name for name in ("study_rules.py", "suite/rules.py", "suite/chart.py")),
