@@ -47,6 +47,8 @@ else:
     Bool = Float = Float16 = Float32 = Float64 = Int = Int8 = Int32 = Int64 = Integer = Num = Real = Shaped = Annotated
     UInt8 = UInt16 = UInt32 = UInt64 = Annotated
 
+Array: TypeAlias = np.ndarray
+"""An array of any kind and shape."""
 Vector3 = Float64[np.ndarray, " 3"]
 """A place, direction or size in three dimensions."""
 Matrix3 = Float64[np.ndarray, "3 3"]
@@ -141,6 +143,7 @@ ArraysByName: TypeAlias = Mapping[str, np.ndarray]
 __all__ = [
     "AnyPoints",
     "Anywhere",
+    "Array",
     "Arrays",
     "ArraysByName",
     "Bool",

@@ -12,7 +12,9 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from io import BufferedReader
+from os import PathLike
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -20,6 +22,10 @@ from ..errors import FormatError, InputError
 from .arrays import UInt8
 from .system import NO_WAITING, OWN_FILE_FLAGS
 
+AnyPath: TypeAlias = str | PathLike[str]
+"""A path, as text or as an object of `pathlib`."""
+Document: TypeAlias = dict[str, Any]
+"""A JSON object."""
 PAGE_SUFFIXES = (".html", ".htm", ".svg", ".xml")
 _PAGE = re.compile(  # also the short answers of servers of files
     rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)?"

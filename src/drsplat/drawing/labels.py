@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float64, Matrix3, Pixels, Vector3
+from ..base.arrays import Array, Float64, Matrix3, Pixels, Vector3
 from ..scene.labelled import Annotation
 from ..scene.views import View
 from .pictures import OUTLINE_COLOR
@@ -43,7 +43,7 @@ class Mark:
     color: Color = OUTLINE_COLOR
 
     @property
-    def corners(self) -> Float64[np.ndarray, "8 3"]:
+    def corners(self) -> Float64[Array, "8 3"]:
         """Corners of the box; for a point, that point eight times."""
         extent = np.zeros(3) if self.extent is None else self.extent
         axes = np.eye(3) if self.axes is None else self.axes
@@ -102,7 +102,7 @@ def lines_of(mark: Mark, view: View) -> list[tuple[Spot, Spot]]:
     return lines
 
 
-def _before(point: np.ndarray, other: np.ndarray, near: float) -> np.ndarray:
+def _before(point: Array, other: Array, near: float) -> Array:
     """Return the point, or where its line to another point crosses the near plane."""
     if point[2] >= near:
         return point
@@ -110,11 +110,11 @@ def _before(point: np.ndarray, other: np.ndarray, near: float) -> np.ndarray:
     return np.array([met[0], met[1], near])  # exactly near, without rounding
 
 
-def _pixel(point: np.ndarray, view: View) -> np.ndarray:
+def _pixel(point: Array, view: View) -> Array:
     return (view.K @ point)[:2] / point[2]
 
 
-def _within(start: np.ndarray, end: np.ndarray, view: View) -> tuple[Spot, Spot] | None:
+def _within(start: Array, end: Array, view: View) -> tuple[Spot, Spot] | None:
     """Clip a line to the picture, by the slabs of its sides; None if nothing is left."""
     first, last, step = 0.0, 1.0, end - start
     for axis, side in enumerate(view.size):

@@ -7,12 +7,24 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import replace
-from os import PathLike
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float32, Ids, Integer, Mask, Numbers, OtherPixels, PixelNumbers, Pixels, UInt8, WholeNumbers
+from ..base.arrays import (
+    Array,
+    Float32,
+    Ids,
+    Integer,
+    Mask,
+    Numbers,
+    OtherPixels,
+    PixelNumbers,
+    Pixels,
+    UInt8,
+    WholeNumbers,
+)
+from ..base.contents import AnyPath
 from ..errors import InputError
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
@@ -31,7 +43,7 @@ PAPER, INK, FAINT = (255, 255, 255), (28, 30, 36), (98, 104, 118)
 Letters = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 
-def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
+def as_pixels(rgb: Float32[Array, "h w 3"]) -> Pixels:
     """Convert floats in [0, 1] to bytes; other values are clipped."""
     scaled = np.clip(rgb, 0, 1)
     scaled *= 255
@@ -117,11 +129,7 @@ def border(inside: Mask, thickness: int) -> Mask:
 
 
 def best_views(
-    scene: Gaussians | Moving,
-    views: Sequence[View],
-    selections: Sequence[Integer[np.ndarray, " _"]],
-    *,
-    threads: int = 0,
+    scene: Gaussians | Moving, views: Sequence[View], selections: Sequence[Integer[Array, " _"]], *, threads: int = 0
 ) -> list[View]:
     """Return, for each selection, the view that shows most of it, by share of pixels, and does not cut it off.
 
@@ -141,7 +149,7 @@ def best_views(
 
 
 def shown_areas(
-    splats: SplatArrays, view: View, selections: Sequence[Integer[np.ndarray, " _"]], *, threads: int = 0
+    splats: SplatArrays, view: View, selections: Sequence[Integer[Array, " _"]], *, threads: int = 0
 ) -> Numbers:
     """Return how many pixels of a small picture each selection has, divided by those at its borders."""
     chosen = np.zeros((splats.means.shape[1], len(selections)), np.float32)
@@ -220,7 +228,7 @@ def contact_sheet(pictures: Sequence[OtherPixels], columns: int, tile_width: int
     return np.asarray(sheet)
 
 
-def write_picture(path: str | PathLike[str], pixels: UInt8[np.ndarray, "h w *c"], overwrite: bool = False) -> None:
+def write_picture(path: AnyPath, pixels: UInt8[Array, "h w *c"], overwrite: bool = False) -> None:
     """Write a PNG, or a JPEG if the name ends in .jpg or .jpeg.
 
     Raises: InputError: the file exists and not `overwrite`; another suffix.
@@ -265,7 +273,7 @@ def class_picture(
     return np.concatenate([picture, legend(picture.shape[1], [names[i] for i in present], colors[present])])
 
 
-def tinted(photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: PixelNumbers) -> Pixels:
+def tinted(photo: Pixels, color: Float32[Array, "h w 3"], share: PixelNumbers) -> Pixels:
     """Put colour over the photo's grey; `color` must be weighted by `share` already."""
     grey = (photo @ LUMA)[..., None]
     covered = np.clip(share, 0, 1)[..., None]
@@ -273,7 +281,7 @@ def tinted(photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: PixelNumbe
     return np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(np.uint8)
 
 
-def legend(width: int, names: list[str], colors: np.ndarray) -> OtherPixels:
+def legend(width: int, names: list[str], colors: Array) -> OtherPixels:
     """Draw swatches and names in as many columns as fit."""
     size = max(12, width // 45)
     letters = ImageFont.load_default(size)

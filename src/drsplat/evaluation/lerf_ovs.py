@@ -16,12 +16,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
 from ..base.arrays import Float32, Mask, PixelNumbers, RowIds
+from ..base.contents import Document
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
@@ -154,7 +155,7 @@ def leaked_frames(scene: LerfScene, scorer: Scorer) -> tuple[str, ...] | None:
     return tuple(frame.name for frame in scene.frames if frame.name in used)
 
 
-def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
+def score(scenes: Sequence[LerfScene], folder: Path) -> Document:
     """Score the predictions in a folder; reads labels and predictions and nothing else.
 
     columns: by choice of threshold. Of the sweep, the one threshold with the best mean over scenes
@@ -322,7 +323,7 @@ def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
 
 def _summary(
     scenes: Sequence[LerfScene], ious: Sequence[list[float]], seen: Sequence[list[float]], hits: Sequence[list[float]]
-) -> dict[str, Any]:
+) -> Document:
     by_scene = [_numbers(*of_scene) for of_scene in zip(ious, seen, hits, strict=True)]
     pooled = [[value for values in kind for value in values] for kind in (ious, seen, hits)]
     return {
@@ -338,7 +339,7 @@ def _numbers(ious: list[float], seen: list[float], hits: list[float]) -> dict[st
     return {**means, **accuracies, "localization": scorers.mean(hits)}
 
 
-def _scene_record(scene: LerfScene, manifest: Manifest) -> dict[str, Any]:
+def _scene_record(scene: LerfScene, manifest: Manifest) -> Document:
     leaked = None if manifest.leaked is None else list(manifest.leaked)
     counts = {"frames": len(scene.frames), "pairs": len(scene.pairs)}
     return {"name": scene.name, **counts, "leaked": leaked, "inputs": dict(manifest.inputs)}
@@ -349,7 +350,7 @@ def _queries(
     ious: Mapping[str, Sequence[list[float]]],
     seen: Mapping[str, Sequence[list[float]]],
     hits: Sequence[list[float]],
-) -> list[dict[str, Any]]:
+) -> list[Document]:
     rows = []
     for s, scene in enumerate(scenes):
         for p, (frame, category) in enumerate(scene.pairs):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Doubles, Float32, Float64, Ids, Indices, OtherIds, OtherIndices, Vector3, Vectors
+from ..base.arrays import Array, Doubles, Float32, Float64, Ids, Indices, OtherIds, OtherIndices, Vector3, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 
@@ -51,11 +51,11 @@ class _Sources(NamedTuple):
 
     ids: Indices
     means: Vectors
-    whiten: Float32[np.ndarray, "n 9"]
+    whiten: Float32[Array, "n 9"]
     reach: Vectors
     size: Doubles
 
-    def rows(self, index: np.ndarray | slice) -> "_Sources":
+    def rows(self, index: Array | slice) -> "_Sources":
         return _Sources(*(column[index] for column in self))
 
 
@@ -143,7 +143,7 @@ def _sources(gaussians: Gaussians, cut_off: float, finest: float) -> _Sources:
 class _Grid:
     """Points sorted by cells of a cubic grid, x fastest: a run of cells along x is one slice."""
 
-    def __init__(self, points: LabelledPoints, bounds: Float64[np.ndarray, "2 3"], cell: float) -> None:
+    def __init__(self, points: LabelledPoints, bounds: Float64[Array, "2 3"], cell: float) -> None:
         self.origin, extent = bounds[0], bounds[1] - bounds[0]
         self.cell = max(cell, float(extent.max()) / MAX_CELLS_ALONG, 1e-12)
         self.shape = (extent / self.cell).astype(np.int64) + 1

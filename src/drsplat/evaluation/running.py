@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from ..base.arrays import Pixels, Vectors
+from ..base.contents import AnyPath, Document
 from ..drawing.pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..errors import InputError
 from ..field.codes import Track, untracked
@@ -159,9 +158,9 @@ class _Task:
 
 def evaluate(
     protocol: str,
-    data: str | PathLike[str],
+    data: AnyPath,
     judged: Mapping[str, Judged | Callable[[], Judged]],
-    report: str | PathLike[str],
+    report: AnyPath,
     *,
     labels: str | LabelSet = "scannet19",
     label_table: Path | None = None,
@@ -177,7 +176,7 @@ def evaluate(
     files: Sequence[Path] = (),
     threads: int = 0,
     track: Track = untracked,
-) -> dict[str, Any]:
+) -> Document:
     """Judge fields, or features of other systems, by a protocol of the papers; return the numbers.
 
     protocol: "lerf-ovs", "scannet-points", "scannet-volume" or "voxel". data: a folder with a folder per scene, of
@@ -240,7 +239,7 @@ def _lerf_scenes(
         if not task.score_only:
             loaded = _loaded(entry)
             gaussians, scorer = _gaussians(loaded), task.scorer(loaded)
-            options: dict[str, Any] = {"threads": task.threads, "track": task.track, "choosers": task.choosers(scorer)}
+            options: Document = {"threads": task.threads, "track": task.track, "choosers": task.choosers(scorer)}
             lerf_ovs.predict(scene, gaussians, scorer, task.folder, **options)
             pictures += lerf_figures(scene, gaussians, scorer, task.figures, threads=task.threads)
         yield scene

@@ -10,11 +10,11 @@ Source: OpenGaussian (Wu et al. 2024), its evaluation on ScanNet.
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..base.arrays import Ids
+from ..base.contents import Document
 from ..errors import MismatchError
 from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
@@ -26,7 +26,7 @@ MAX_MOVED_SHARE = 1e-3  # of the scene's extent
 predict = partial(predict_classes, protocol=PROTOCOL)
 
 
-def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
+def score(scenes: Sequence[ScannetScene], folder: Path) -> Document:
     """Score the predictions in a folder. A scene without predicted labels scores 0.
 
     Raises: InputError: no scene, or one without predictions. MismatchError: Gaussians that are not
@@ -64,6 +64,6 @@ def frozen_truth(scene: ScannetScene) -> Ids:
     return np.where(scene.gaussians.opacities < FAINT_OPACITY, 0, scene.points.labels).astype(np.int32)
 
 
-def _record(scene: ScannetScene, folder: Path) -> dict[str, Any]:
+def _record(scene: ScannetScene, folder: Path) -> Document:
     truth = frozen_truth(scene)
     return segmentation_record(predicted_classes(scene, folder), truth, scene.labels)

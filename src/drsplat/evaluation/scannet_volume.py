@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ..base.contents import Document
 from ..errors import MismatchError
 from . import scorers
 from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, best_sweep, is_sweep, read_manifests, sweep_weighted_ious
@@ -35,7 +36,7 @@ PROTOCOL = "scannet-volume@1"
 predict = partial(predict_classes, protocol=PROTOCOL, keep_scores=True)
 
 
-def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
+def score(scenes: Sequence[ScannetScene], folder: Path) -> Document:
     """Score the predictions in a folder. Missing ones count as nothing selected: 0.
 
     Raises: InputError: no scene, or one without predictions. MismatchError: scenes predicted in
@@ -63,7 +64,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
     }
 
 
-def segmentation(scene: ScannetScene, folder: Path, *, weighted: bool = True) -> dict[str, Any]:
+def segmentation(scene: ScannetScene, folder: Path, *, weighted: bool = True) -> Document:
     """Score the segmentation by Eq. 3; if not weighted, every Gaussian counts alike (the left of Fig. S3)."""
     weights = scene.significance if weighted else None
     return segmentation_record(predicted_classes(scene, folder), scene.pseudo_labels, scene.labels, weights)
@@ -114,7 +115,7 @@ def _common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
     return dict(first.columns)
 
 
-def _summary(names: Sequence[str], by_scene: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+def _summary(names: Sequence[str], by_scene: Sequence[Mapping[str, float]]) -> Document:
     records = [_numbers(list(classes.values())) for classes in by_scene]
     pooled = [iou for classes in by_scene for iou in classes.values()]
     return {
@@ -132,7 +133,7 @@ def _numbers(ious: list[float]) -> dict[str, float]:
     return {"miou": scorers.mean(ious), **shares}
 
 
-def _scene_record(scene: ScannetScene, manifest: Manifest) -> dict[str, Any]:
+def _scene_record(scene: ScannetScene, manifest: Manifest) -> Document:
     labelled = scene.pseudo_labels > 0
     return {
         "name": scene.name,

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, FloatRows, Integer, Real
+from ..base.arrays import Array, Bool, Float32, Float64, FloatRows, Integer, Real
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
@@ -26,7 +26,7 @@ Numbers = Sequence[float | int] | Real[np.ndarray, " n"]
 NUM_RESAMPLINGS = 2000
 
 
-def mask_iou(predicted: Bool[np.ndarray, "*n"], truth: Bool[np.ndarray, "*n"]) -> float:
+def mask_iou(predicted: Bool[Array, "*n"], truth: Bool[Array, "*n"]) -> float:
     """Return the intersection over union; 0 where both masks are empty.
 
     >>> mask_iou(np.array([True, True, False, False]), np.array([False, True, True, False]))
@@ -68,7 +68,7 @@ def scene_macro(by_scene: Sequence[Numbers]) -> float:
 
 
 def class_overlaps(
-    predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
+    predicted: Labels, truth: Labels, num_classes: int, weights: Real[Array, " n"] | None = None
 ) -> tuple[PerClass, PerClass, PerClass]:
     """Return, per class, the weight of the intersection, of the prediction and of the truth.
 
@@ -89,7 +89,7 @@ def class_overlaps(
 
 
 def class_ious(
-    predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
+    predicted: Labels, truth: Labels, num_classes: int, weights: Real[Array, " n"] | None = None
 ) -> PerClass:
     """Return the IoU of each class (Eq. 3 with weights); NaN for classes that the truth lacks.
 
@@ -105,7 +105,7 @@ def class_ious(
 
 
 def class_accuracies(
-    predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
+    predicted: Labels, truth: Labels, num_classes: int, weights: Real[Array, " n"] | None = None
 ) -> PerClass:
     """Return the share of each class that is predicted as it; NaN for classes that the truth lacks.
 
@@ -172,7 +172,7 @@ def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _ratio(part: PerClass, whole: PerClass, present: Bool[np.ndarray, " c"]) -> PerClass:
+def _ratio(part: PerClass, whole: PerClass, present: Bool[Array, " c"]) -> PerClass:
     return np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
 
 
@@ -206,7 +206,7 @@ class Scorer:
     about: Mapping[str, object] = field(default_factory=dict)
     views: tuple[str, ...] | None = None
     least: float | None = None
-    several: Callable[[Sequence[str]], Float32[np.ndarray, "q N"]] | None = None
+    several: Callable[[Sequence[str]], Float32[Array, "q N"]] | None = None
     answer: Callable[[str], tuple[Scores, float]] | None = None
     classes: Callable[[Sequence[str]], Iterator[Scores]] | None = None
 

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import DoubleRows, Doubles, Ids, Indices, Int64, OtherIds, OtherIndices, Points, Vector3
+from ..base.arrays import Array, DoubleRows, Doubles, Ids, Indices, Int64, OtherIds, OtherIndices, Points, Vector3
+from ..base.contents import Document
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import scannet_volume, scorers
@@ -51,7 +52,7 @@ class VoxelGrid:
         return self.origin + (at + 0.5) * self.side
 
 
-def grid_over(positions: np.ndarray, side: float = VOXEL_SIDE) -> VoxelGrid:
+def grid_over(positions: Array, side: float = VOXEL_SIDE) -> VoxelGrid:
     """Return voxels that cover points. Raises: InputError: no positive side, or too many voxels for memory."""
     if not side > 0:
         raise InputError(f"voxel side: expected a positive length, got {side}")
@@ -84,9 +85,7 @@ def voxel_labels(
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
-def score(
-    scenes: Sequence[ScannetScene], folder: Path, *, side: float = VOXEL_SIDE, threads: int = 0
-) -> dict[str, Any]:
+def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = VOXEL_SIDE, threads: int = 0) -> Document:
     """Score predictions in voxels, and beside it by Eq. 3 with and without significance.
 
     Predictions of scannet-volume@1 are read, too. The study's correlations are NaN below 3 scenes.
@@ -116,7 +115,7 @@ def score(
     }
 
 
-def voxel_record(scene: ScannetScene, folder: Path, *, side: float = VOXEL_SIDE, threads: int = 0) -> dict[str, Any]:
+def voxel_record(scene: ScannetScene, folder: Path, *, side: float = VOXEL_SIDE, threads: int = 0) -> Document:
     """Return IoU and accuracy of the classes of one scene, in voxels."""
     predictions, truth = predicted_classes(scene, folder), scene.pseudo_labels
     labelled = np.flatnonzero(truth > 0)
@@ -129,7 +128,7 @@ def voxel_record(scene: ScannetScene, folder: Path, *, side: float = VOXEL_SIDE,
     return {**segmentation_record(predicted[filled], true[filled], scene.labels), "voxels": int(filled.sum())}
 
 
-def study(compared: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def study(compared: Sequence[Mapping[str, Any]]) -> Document:
     """Correlate, over scenes, mIoU by Gaussians with and without significance with mIoU by voxels.
 
     compared: scene, voxel, weighted and unweighted mIoU of each.
@@ -191,8 +190,8 @@ def _slab(sources: _Sources, labellings: Sequence[Ids], num_labels: int, slab: t
 
 
 def _pairs(
-    sources: _Sources, ids: OtherIndices, low: Int64[np.ndarray, "m 3"], spans: Int64[np.ndarray, "m 3"]
-) -> tuple[Indices, Int64[np.ndarray, "n 3"], Doubles]:
+    sources: _Sources, ids: OtherIndices, low: Int64[Array, "m 3"], spans: Int64[Array, "m 3"]
+) -> tuple[Indices, Int64[Array, "n 3"], Doubles]:
     """Return Gaussian, voxel and alpha N(v) of all pairs within the cut-off."""
     counts = spans.prod(1)
     row = np.repeat(np.arange(len(ids)), counts)

@@ -7,12 +7,12 @@ Checks of scenes that no file could give back, the same for every format.
 """
 
 from collections.abc import Mapping
-from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Bool, Float32, FloatRows, Harmonics, Numbers, Quats, Vectors, WholeNumbers
+from ..base.arrays import Anywhere, Array, Bool, Float32, FloatRows, Harmonics, Numbers, Quats, Vectors, WholeNumbers
+from ..base.contents import AnyPath
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 
@@ -40,7 +40,7 @@ def logit(opacities: Numbers) -> Numbers:
     """Return the inverse of `sigmoid`, finite: 0 and 1 become the logits that come back as exactly 0 and 1."""
     wide = opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
-        finite: np.ndarray = np.clip(np.log(wide) - np.log1p(-wide), -105, 18)
+        finite: Array = np.clip(np.log(wide) - np.log1p(-wide), -105, 18)
     return finite.astype(np.float32)
 
 
@@ -70,7 +70,7 @@ def checked(
     scales: Vectors,
     opacities: Numbers,
     sh: Harmonics,
-    extra: Mapping[str, np.ndarray] = {},
+    extra: Mapping[str, Array] = {},
     antialiased: bool = False,
 ) -> Gaussians:
     """Return Gaussians with normalised quats (in place), once every row has passed the checks.
@@ -87,13 +87,13 @@ def checked(
     return Gaussians(means, quats, scales, opacities, sh, dict(extra), antialiased=antialiased)
 
 
-def _require_finite(values: Float32[np.ndarray, "n ..."], what: str) -> None:
+def _require_finite(values: Float32[Array, "n ..."], what: str) -> None:
     blocks = range(0, len(values), BLOCK_ROWS)
     if not all(np.isfinite(values[start : start + BLOCK_ROWS]).all() for start in blocks):
         _require(np.isfinite(values), what)
 
 
-def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
+def _require(good: Bool[Array, "n ..."], what: str) -> None:
     if np.all(good):
         return
     bad = np.flatnonzero((~good).reshape(len(good), -1).any(1))
@@ -104,7 +104,7 @@ def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
 PACKED_SUFFIX = ".compressed.ply"
 
 
-def refuse_packed_name(path: str | PathLike[str]) -> None:
+def refuse_packed_name(path: AnyPath) -> None:
     """Refuse a name that promises SuperSplat's packed form. Raises: InputError."""
     name = Path(path).name
     if name.lower().endswith(PACKED_SUFFIX):

@@ -4,7 +4,6 @@ A feature has a Point as its geometry, with coordinates of the scene's world; a 
 properties, so that other programs show its middle.
 """
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from ..base.arrays import Matrix3, Vector3
+from ..base.contents import AnyPath
 from ..errors import FormatError, InputError
 from ..scene.labelled import Annotation, Outline
 from .json_files import as_document, as_fields, read_json, write_json
@@ -31,7 +31,7 @@ class AnnotationFile:
     path: Path
 
     @classmethod
-    def beside(cls, scene: str | os.PathLike[str]) -> "AnnotationFile":
+    def beside(cls, scene: AnyPath) -> "AnnotationFile":
         """Return the file of a scene's annotations: NAME.annotations.json beside NAME.ply or the folder NAME."""
         return cls(companion(scene, "annotations"))
 

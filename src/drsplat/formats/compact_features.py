@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from ..base.arrays import Embeddings, Int64, LevelMaskIds
+from ..base.arrays import Array, Embeddings, Int64, LevelMaskIds
 from ..errors import FormatError, InputError
 from .json_files import as_kind, document_in
 from .tensors import check_tensors, read_tensors, write_tensors
@@ -35,12 +35,12 @@ class CompactFile:
     embeddings: Embeddings
     size: tuple[int, int]
     levels: tuple[int, ...]
-    maps: tuple[np.ndarray, ...]
+    maps: tuple[Array, ...]
 
     def count_levels(self) -> int:
         return len(self.levels)
 
-    def ids(self, level: int) -> Int64[np.ndarray, "h w"]:
+    def ids(self, level: int) -> Int64[Array, "h w"]:
         """Return the row of `embeddings` by pixel, -1: none. Raises: FormatError: damaged, or an id without a row."""
         height, width = self.size
         dtype = _dtype(len(self.embeddings))
@@ -108,7 +108,7 @@ def _counts(text: str | None, where: str) -> tuple[int, ...]:
     return numbers
 
 
-def _decompressed(data: np.ndarray, path: Path, size: int) -> bytes:
+def _decompressed(data: Array, path: Path, size: int) -> bytes:
     """Return exactly `size` bytes; memory grows with what is there, not with what is promised."""
     raw = bytearray()
     try:

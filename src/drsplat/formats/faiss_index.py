@@ -5,14 +5,13 @@ the authors of Dr. Splat publish. Lists of stored vectors, if any, are left alon
 Source: the layout that FAISS's write_index produces (marks "IxPq", "IwPQ").
 """
 
-import os
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ..base.arrays import Embeddings, Float32, Numbers
-from ..base.contents import file_bytes, open_file
+from ..base.contents import AnyPath, file_bytes, open_file
 from ..errors import FormatError, InputError
 
 _PLAIN = {b"IxPq", b"IxPQ"}
@@ -47,7 +46,7 @@ class _Bytes:
         return np.frombuffer(self.take(4 * count), "<f4")
 
 
-def is_faiss(path: str | os.PathLike[str]) -> bool:
+def is_faiss(path: AnyPath) -> bool:
     """Return whether a file begins with the mark of a FAISS index of any kind."""
     try:
         with open_file(path) as file:
@@ -57,7 +56,7 @@ def is_faiss(path: str | os.PathLike[str]) -> bool:
     return len(mark) == 4 and mark[:2] in MARKS and mark.isalnum()
 
 
-def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:
+def read_faiss_quantizer(path: AnyPath) -> FaissQuantizer:
     """Read the centroids of the index in `path`.
 
     Raises: InputError: there is no such file. FormatError: another kind of index, damaged, not 8

@@ -26,12 +26,12 @@ Source: PlayCanvas, "Compressed PLY format" (SuperSplat user manual).
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from ..base.arrays import Arrays, Float32, FloatRows, Shaped, UnsignedIds, Vector3, Vectors
+from ..base.contents import AnyPath
 from ..errors import FormatError, InputError, warn
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat, local_origin
 from .activation import checked, exp, from_smallest_three, logit, refuse_packed_name, refuse_unreadable, sigmoid
@@ -258,7 +258,7 @@ def vertex_columns(gaussians: Gaussians) -> Arrays:
 
 
 def write_gaussians(
-    path: str | PathLike[str],
+    path: AnyPath,
     gaussians: Gaussians,
     columns: Mapping[str, Shaped[np.ndarray, " n"]] = {},
     overwrite: bool = False,

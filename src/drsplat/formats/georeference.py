@@ -1,12 +1,12 @@
 """Georeference: a scene's place on the Earth, in georeference.json beside it."""
 
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..base.arrays import Matrix3, Points
+from ..base.contents import AnyPath
 from ..errors import FormatError
 from ..scene.geodesy import geodetic
 from .json_files import as_document, as_kind, read_json, write_json
@@ -35,7 +35,7 @@ class Georeference:
         return geodetic((self.longitude, self.latitude, self.height), offsets)
 
 
-def read_georeference(*folders: str | os.PathLike[str] | None) -> Georeference | None:
+def read_georeference(*folders: AnyPath | None) -> Georeference | None:
     """Return the georeference of the first folder that has one, None where none has.
 
     Raises: FormatError: damaged, no rotation, a place that is not on the Earth.

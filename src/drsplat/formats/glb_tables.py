@@ -5,11 +5,12 @@ Names are read whoever wrote them, boxes where drsplat did.
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Ids
+from ..base.arrays import Array, Ids
+from ..base.contents import Document
 from ..errors import FormatError, InputError
 from ..scene.labelled import LabelledScene, Thing, numbers_of
 from .gltf import METADATA, Entry, Gltf, inner, listed, whole_number
@@ -42,8 +43,8 @@ class Column(NamedTuple):
     values: of all rows, one after the other. offsets: where each text begins in them, None for numbers.
     """
 
-    values: np.ndarray
-    offsets: np.ndarray | None = None
+    values: Array
+    offsets: Array | None = None
 
 
 class Table(NamedTuple):
@@ -55,10 +56,10 @@ class Table(NamedTuple):
     name: str
     kind: str
     num_rows: int
-    properties: dict[str, dict[str, Any]]
+    properties: dict[str, Document]
     columns: dict[str, Column]
 
-    def add(self, name: str, described: dict[str, Any], column: Column) -> None:
+    def add(self, name: str, described: Document, column: Column) -> None:
         """Append a column, and what the class says of it."""
         self.properties[name], self.columns[name] = described, column
 
@@ -179,7 +180,7 @@ def _things(gltf: Gltf, table: Entry, num_groups: int) -> tuple[Thing, ...]:
     )
 
 
-def _values(gltf: Gltf, table: Entry, name: str, dtype: str, count: int) -> np.ndarray:
+def _values(gltf: Gltf, table: Entry, name: str, dtype: str, count: int) -> Array:
     return _numbers(gltf, inner(table, "properties", name).get("values"), dtype, count)
 
 
@@ -199,7 +200,7 @@ def _class(gltf: Gltf, table: Entry) -> Entry:
     return inner(known, name, "properties") if isinstance(name, str) else {}
 
 
-def _numbers(gltf: Gltf, view: object, dtype: str, count: int) -> np.ndarray:
+def _numbers(gltf: Gltf, view: object, dtype: str, count: int) -> Array:
     raw = gltf.view(view)
     if count * np.dtype(dtype).itemsize > len(raw):
         raise FormatError(f"glTF: a table of {count:,} rows does not fit into {len(raw):,} bytes: damaged")

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Harmonics, Ids, Matrix3, UInt8, Vector3
+from ..base.arrays import Array, Harmonics, Ids, Matrix3, UInt8, Vector3
+from ..base.contents import Document
 from ..errors import InputError
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import Annotation, LabelledScene, Thing
@@ -58,7 +59,7 @@ from .replacing import replacing
 class NamedNodes(NamedTuple):
     """Nodes of boxes. roots: numbers of those that hang at the world's node."""
 
-    nodes: list[dict[str, Any]]
+    nodes: list[Document]
     roots: list[int]
 
 
@@ -90,8 +91,8 @@ class Binary:
     """The binary chunk while it is laid out: its parts, and the views and accessors of the document into them."""
 
     parts: list[Part] = field(default_factory=list)
-    views: list[dict[str, Any]] = field(default_factory=list)
-    accessors: list[dict[str, Any]] = field(default_factory=list)
+    views: list[Document] = field(default_factory=list)
+    accessors: list[Document] = field(default_factory=list)
     size: int = 0
 
     def view(self, part: Part, **more: Any) -> int:
@@ -106,7 +107,7 @@ class Binary:
         dtype, width = np.dtype(COMPONENTS[component]), NUMBERS_OF_TYPE[kind]
         words = -(-width * dtype.itemsize // 4) * (4 // dtype.itemsize)
 
-        def padded(block: slice) -> np.ndarray:
+        def padded(block: slice) -> Array:
             values = rows(block).reshape(-1, width)
             whole = values if words == width else np.pad(values, ((0, 0), (0, words - width)))
             return whole.astype(dtype, copy=False)
@@ -117,7 +118,7 @@ class Binary:
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
-    def column(self, values: np.ndarray) -> int:
+    def column(self, values: Array) -> int:
         """Append a column of a table; returns the number of its view."""
         raw = np.frombuffer(values.tobytes() or b"\0", np.uint8)  # a view has a byte at least
         return self.view(Part(len(raw), 1, lambda rows: raw[rows]))
@@ -149,7 +150,7 @@ def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
             file.write(block)
 
 
-def head_of(document: dict[str, Any], binary_size: int) -> bytes:
+def head_of(document: Document, binary_size: int) -> bytes:
     """Return a GLB up to its binary chunk, which begins at a multiple of `ALIGNMENT_BYTES`."""
     text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(errors="replace")
     text += b" " * (-(HEADER.size + 2 * CHUNK.size + len(text)) % ALIGNMENT_BYTES)
@@ -159,7 +160,7 @@ def head_of(document: dict[str, Any], binary_size: int) -> bytes:
     return HEADER.pack(MAGIC, VERSION, length) + chunks
 
 
-def _document(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
+def _document(scene: LabelledScene, binary: Binary) -> Document:
     from .. import __version__
 
     primitive = _primitive(scene, binary)
@@ -186,8 +187,8 @@ def _document(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
     }
 
 
-def _primitive(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
-    extensions: dict[str, Any] = {
+def _primitive(scene: LabelledScene, binary: Binary) -> Document:
+    extensions: Document = {
         SPLATTING: {
             "kernel": KERNEL,
             "colorSpace": COLOR_SPACE,
@@ -225,14 +226,14 @@ def _coefficient(sh: Harmonics, number: int) -> Rows:
     return lambda rows: sh[rows, number]
 
 
-def _point_colors(gaussians: Gaussians, rows: slice) -> UInt8[np.ndarray, "b 4"]:
+def _point_colors(gaussians: Gaussians, rows: slice) -> UInt8[Array, "b 4"]:
     """Return the constant colours in linear light, as glTF has colours of vertices, and the opacities."""
     shown = np.clip(0.5 + SH_C0 * gaussians.sh[rows, 0].astype(np.float64), 0, 1)
     linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     return np.asarray(np.rint(255 * np.column_stack([linear, gaussians.opacities[rows]])), np.uint8)
 
 
-def features_of(objects: Ids, count: int, binary: Binary) -> tuple[int, dict[str, Any]]:
+def features_of(objects: Ids, count: int, binary: Binary) -> tuple[int, Document]:
     """Lay out the number of each Gaussian's object; returns its accessor, and what EXT_mesh_features says of it.
 
     objects: rows of the table of objects, -1 for none. count: rows of that table.
@@ -242,7 +243,7 @@ def features_of(objects: Ids, count: int, binary: Binary) -> tuple[int, dict[str
     if count > none:
         raise InputError(f"a GLB holds up to {none:,} objects, got {count:,}: export a part of the scene")
 
-    def ids(rows: slice) -> np.ndarray:
+    def ids(rows: slice) -> Array:
         return np.where(objects[rows] < 0, none, objects[rows])
 
     accessor = binary.attribute(len(objects), "SCALAR", UNSIGNED_SHORT if is_short else FLOAT, ids)
@@ -250,7 +251,7 @@ def features_of(objects: Ids, count: int, binary: Binary) -> tuple[int, dict[str
     return accessor, {"featureIds": [described]}
 
 
-def tables_document(tables: Sequence[Table], binary: Binary) -> dict[str, Any]:
+def tables_document(tables: Sequence[Table], binary: Binary) -> Document:
     """Lay out tables; returns the document's object of EXT_structural_metadata, {} without tables."""
     if not tables:
         return {}
@@ -259,7 +260,7 @@ def tables_document(tables: Sequence[Table], binary: Binary) -> dict[str, Any]:
     return {"schema": {"id": "drsplat", "classes": classes}, "propertyTables": rows}
 
 
-def _table(table: Table, binary: Binary) -> dict[str, Any]:
+def _table(table: Table, binary: Binary) -> Document:
     properties = {
         name: {"values": binary.column(column.values)}
         | ({} if column.offsets is None else {"stringOffsets": binary.column(column.offsets)})
@@ -268,12 +269,12 @@ def _table(table: Table, binary: Binary) -> dict[str, Any]:
     return {"name": table.name, "class": table.kind, "count": table.num_rows, "properties": properties}
 
 
-def _nodes(scene: LabelledScene) -> list[dict[str, Any]]:
+def _nodes(scene: LabelledScene) -> list[Document]:
     """Return the root, which stands up as glTF does and in which all else is in the world, the splats and the boxes."""
-    own: dict[str, Any] = {"frame": "world", "up": list(scene.up), "fingerprint": scene.gaussians.fingerprint}
+    own: Document = {"frame": "world", "up": list(scene.up), "fingerprint": scene.gaussians.fingerprint}
     own |= {"antialiased": True} if scene.gaussians.antialiased else {}
     own |= {"encoder": scene.encoder} if scene.encoder else {}
-    splats: dict[str, Any] = {"name": "splats", "mesh": 0}
+    splats: Document = {"name": "splats", "mesh": 0}
     if scene.gaussians.origin.any():
         splats["translation"] = scene.gaussians.origin.tolist()
     boxes = named_nodes(scene, first=2)
@@ -292,7 +293,7 @@ def named_nodes(scene: LabelledScene, first: int) -> NamedNodes:
         "matches": [_match(match, scene.query) for match in scene.matches],
         "annotations": [_annotation(one) for one in scene.annotations],
     }
-    nodes: list[dict[str, Any]] = []
+    nodes: list[Document] = []
     roots: list[int] = []
     for name, children in kinds.items():
         if children:
@@ -302,20 +303,20 @@ def named_nodes(scene: LabelledScene, first: int) -> NamedNodes:
     return NamedNodes(nodes, roots)
 
 
-def _match(match: Thing, query: str) -> dict[str, Any]:
-    said: dict[str, Any] = {"kind": "match", "score": match.score} | ({"query": query} if query else {})
+def _match(match: Thing, query: str) -> Document:
+    said: Document = {"kind": "match", "score": match.score} | ({"query": query} if query else {})
     return {"name": match.name, **_box(match.center, match.axes, match.extent), "extras": said}
 
 
-def _annotation(one: Annotation) -> dict[str, Any]:
+def _annotation(one: Annotation) -> Document:
     if one.outline is None:
-        box: dict[str, Any] = {"translation": one.center.tolist()}
+        box: Document = {"translation": one.center.tolist()}
     else:
         box = _box(one.center, one.outline.axes, one.outline.extent)
     return {"name": one.text, **box, "extras": {"kind": "annotation"}}
 
 
-def _box(center: Vector3, axes: Matrix3, extent: Vector3) -> dict[str, Any]:
+def _box(center: Vector3, axes: Matrix3, extent: Vector3) -> Document:
     """Return what makes the cube of side 1 about zero a box; columns of the rotation are the box's directions."""
     columns = axes.T * [1.0, 1.0, np.sign(np.linalg.det(axes))]  # people may write a left-handed box, which is the same
     return {"translation": center.tolist(), "rotation": rotation_xyzw(columns), "scale": extent.tolist()}

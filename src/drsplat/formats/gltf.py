@@ -21,7 +21,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..base.arrays import Float64, Matrix3, Matrix4
+from ..base.arrays import Array, Float64, Matrix3, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError
 from ..scene.gaussians import rotation_matrices
@@ -109,9 +109,7 @@ class Gltf:
             raise FormatError(f"bufferViews[{number}] ends at byte {end} of a buffer of {len(buffer)}: truncated")
         return buffer[begin:end]
 
-    def accessor(
-        self, number: object, kind: str, what: str, components: tuple[int, ...] = tuple(COMPONENTS)
-    ) -> np.ndarray:
+    def accessor(self, number: object, kind: str, what: str, components: tuple[int, ...] = tuple(COMPONENTS)) -> Array:
         """Return the numbers of an accessor as they are stored, (count, width), without a copy.
 
         kind: "SCALAR", "VEC3", ... components: kinds of numbers that `what` may have.
@@ -142,9 +140,7 @@ class Gltf:
         shape, strides = (count, width), (stride, dtype.itemsize)
         return np.ndarray(shape, dtype, view, offset if count else 0, strides)
 
-    def values(
-        self, number: object, kind: str, what: str, components: tuple[int, ...] = tuple(COMPONENTS)
-    ) -> np.ndarray:
+    def values(self, number: object, kind: str, what: str, components: tuple[int, ...] = tuple(COMPONENTS)) -> Array:
         """Return the numbers of an accessor as float32, a copy: integers that are normalised as shares of 1.
 
         Raises: FormatError: as `accessor`.
@@ -301,7 +297,7 @@ def local_matrix(node: Entry, number: int) -> Matrix:
     return matrix
 
 
-def _rotation(xyzw: Float64[np.ndarray, " 4"]) -> Matrix3:
+def _rotation(xyzw: Float64[Array, " 4"]) -> Matrix3:
     return rotation_matrices(xyzw[None, [3, 0, 1, 2]] / np.linalg.norm(xyzw))[0]
 
 

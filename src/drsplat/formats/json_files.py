@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import numpy as np
 
 from ..base.arrays import DoubleRows, Doubles, Matrix3, Matrix4, OtherIndices, RowIds, Spans, Vector3
-from ..base.contents import file_text
+from ..base.contents import AnyPath, Document, file_text
 from ..errors import FormatError, InputError
 from .replacing import replacing
 
@@ -61,9 +61,7 @@ def parsed(text: str | bytes) -> object:
     return document
 
 
-def write_json(
-    path: str | os.PathLike[str], document: object, overwrite: bool = False, end: str = "\n", **style: Any
-) -> None:
+def write_json(path: AnyPath, document: object, overwrite: bool = False, end: str = "\n", **style: Any) -> None:
     """Write a document whole or not at all. style: of `json.dumps`, by default an indent of 1.
 
     Raises: InputError: as `replacing`.
@@ -131,7 +129,7 @@ def as_matrix(value: object, rows: int, columns: int, where: str) -> DoubleRows:
     return np.stack([as_vector(row, columns, where) for row in value])
 
 
-def as_object(value: object, where: str) -> dict[str, Any]:
+def as_object(value: object, where: str) -> Document:
     """Return an object's entries by name."""
     return _of_type(value, dict, "an object", where)
 
@@ -187,13 +185,13 @@ def as_kind(value: object, kind: Any, where: str) -> Any:
     return kind(**as_fields(value, where, **expected))
 
 
-def as_fields(value: object, where: str, /, **kinds: Any) -> dict[str, Any]:
+def as_fields(value: object, where: str, /, **kinds: Any) -> Document:
     """Return some entries of an object by name, each as its kind, see `as_kind`; `K | None` may be missing."""
     entries = _of_type(value, dict, f"an object with {', '.join(kinds) or 'keys'}", where)
     return {name: as_kind(entries.get(name), kind, f"{where}: {name}") for name, kind in kinds.items()}
 
 
-def as_document(value: object, where: str, name: str, version: object = None, cure: str = "") -> dict[str, Any]:
+def as_document(value: object, where: str, name: str, version: object = None, cure: str = "") -> Document:
     """Return an object that names its format, and its version where it has one, as those that drsplat writes.
 
     Raises: FormatError: of another format or version. cure: ends the message, and says what to do.

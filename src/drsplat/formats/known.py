@@ -8,11 +8,11 @@ Named objects that a scene's file holds beside its Gaussians, whatever its forma
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
+from ..base.contents import AnyPath
 from ..errors import FormatError, InputError, did_you_mean
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene
@@ -244,9 +244,7 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
     )
 
 
-def write_scene(
-    path: str | PathLike[str], scene: LabelledScene, overwrite: bool = False, *, spz_version: int = 3
-) -> None:
+def write_scene(path: AnyPath, scene: LabelledScene, overwrite: bool = False, *, spz_version: int = 3) -> None:
     """Write a scene as the suffix of `path` says; it appears whole or not at all.
 
     spz_version: 3, which most programs read, or 4, which keeps objects, names and relevancy, of a `.spz`.

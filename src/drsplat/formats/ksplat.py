@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Harmonics, Points
+from ..base.arrays import Array, Harmonics, Points
 from ..errors import FormatError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked
@@ -164,7 +164,7 @@ def _require_buckets(buffer: memoryview, section: _Section, at: int, index: int)
         )
 
 
-def _lengths(buffer: memoryview, section: _Section, at: int) -> np.ndarray:
+def _lengths(buffer: memoryview, section: _Section, at: int) -> Array:
     """Return the rows of the buckets that are not full."""
     return np.frombuffer(buffer, "<u4", section.partial, at)
 
@@ -182,7 +182,7 @@ def _row(level: int, degree: int) -> np.dtype:
     )
 
 
-def _positions(buffer: memoryview, place: _Place, table: np.ndarray) -> Points:
+def _positions(buffer: memoryview, place: _Place, table: Array) -> Points:
     section, at = place.section, place.buckets
     centres = np.frombuffer(buffer, "<f4", 3 * section.buckets, at + 4 * section.partial)
     full = np.full(section.full, section.bucket_rows, np.int64)
@@ -192,7 +192,7 @@ def _positions(buffer: memoryview, place: _Place, table: np.ndarray) -> Points:
     return steps * (section.block / 2 / half) + centres.reshape(-1, 3).repeat(counts, axis=0)
 
 
-def _fill_further(sh: Harmonics, rest: np.ndarray, header: _Header) -> None:
+def _fill_further(sh: Harmonics, rest: Array, header: _Header) -> None:
     """Fill in the coefficients that a row has beyond the constant one."""
     lowest, highest = header.low or DEFAULT_HARMONIC_BOUNDS[0], header.high or DEFAULT_HARMONIC_BOUNDS[1]
     of_bytes = (lowest + (highest - lowest) * (np.arange(256) / 255)).astype(np.float32)

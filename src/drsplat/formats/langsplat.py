@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Embeddings, Indices, Int64, LevelMaskIds
+from ..base.arrays import Array, Embeddings, Indices, Int64, LevelMaskIds
 from ..base.terminal import counted
 from ..errors import DrSplatError, FormatError, InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
@@ -35,9 +35,9 @@ class FeatureFile(Protocol):
     @property
     def path(self) -> Path: ...
     @property
-    def embeddings(self) -> np.ndarray: ...
+    def embeddings(self) -> Array: ...
     def count_levels(self) -> int: ...
-    def ids(self, level: int) -> Int64[np.ndarray, "h w"]: ...
+    def ids(self, level: int) -> Int64[Array, "h w"]: ...
 
 
 class _Pair(NamedTuple):
@@ -45,9 +45,9 @@ class _Pair(NamedTuple):
 
     path: Path
     maps: Path
-    embeddings: np.ndarray
+    embeddings: Array
 
-    def ids(self, level: int) -> Int64[np.ndarray, "h w"]:
+    def ids(self, level: int) -> Int64[Array, "h w"]:
         return _level_ids(self.maps, level, len(self.embeddings))
 
     def count_levels(self) -> int:
@@ -290,7 +290,7 @@ FORMS: Mapping[Form, tuple[tuple[str, ...], Callable[[Path, str], FeatureFile]]]
 """Endings of a photo's files, of which the first holds its masks, and how they are opened."""
 
 
-def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"]:
+def _level_ids(path: Path, level: int, num_rows: int) -> Int64[Array, "h w"]:
     maps = map_npy(path)
     if 0 in maps.shape or not (maps.ndim == 2 or (maps.ndim == 3 and len(maps) == len(LEVELS))):
         raise FormatError(f"{path}: expected (4, H, W) or (H, W), got {maps.shape}")
@@ -308,7 +308,7 @@ def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"
     return stored.astype(np.int64)
 
 
-def unit_rows(rows: np.ndarray, wanted: Indices, path: Path) -> Embeddings:
+def unit_rows(rows: Array, wanted: Indices, path: Path) -> Embeddings:
     """Return some rows of a file, brought to unit length. Raises: FormatError: one has no direction."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         taken = rows[wanted].astype(np.float64)

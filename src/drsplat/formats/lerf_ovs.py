@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..base.arrays import Flags, Float64, Int64, Mask
+from ..base.arrays import Array, Flags, Float64, Int64, Mask
 from ..errors import FormatError, InputError
 from .json_files import as_fields, as_object, as_text, as_vector, excerpt, read_json
 from .photo_files import safe_name
@@ -119,7 +119,7 @@ def _fill_row(line: Flags, row: int, starts: Polygon, ends: Polygon) -> None:
         line[max(0, int(np.ceil(left))) : max(0, int(np.floor(right)) + 1)] = True
 
 
-def _line(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _line(start: Array, end: Array) -> tuple[Array, Array]:
     """Return Bresenham's pixels from left to right."""
     if end[0] < start[0]:
         start, end = end, start

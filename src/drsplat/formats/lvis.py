@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from ..base.arrays import Bool, Float, Float64, Indices, Mask
+from ..base.arrays import Array, Bool, Float, Float64, Indices, Mask
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 from .json_files import as_count, as_number, as_object, as_text, excerpt
@@ -256,7 +256,7 @@ def unpack_counts(text: str, where: str) -> Indices:
     Raises: FormatError: other characters, a number that does not end or is too long.
     """
     raw = np.frombuffer(text.encode("utf-8", "replace"), np.uint8)
-    codes: np.ndarray = raw - np.uint8(_FIRST_CODE)  # below 48 wraps to above 63
+    codes: Array = raw - np.uint8(_FIRST_CODE)  # below 48 wraps to above 63
     bad = np.flatnonzero(codes > _DIGIT_MASK + _CONTINUATION_BIT)
     if len(bad):
         raise FormatError(
@@ -278,7 +278,7 @@ def unpack_counts(text: str, where: str) -> Indices:
     return np.asarray(numbers)
 
 
-def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> Mask:
+def fill_polygon(points: Float[Array, "v 2"], height: int, width: int) -> Mask:
     """Return the pixels whose centres lie inside a closed polygon, by the even-odd rule.
 
     points: x, y in pixels; the centre of pixel (0, 0) is at (0.5, 0.5), a centre on a left or upper
@@ -299,13 +299,8 @@ def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> M
 
 
 def _parity(
-    begins: Float[np.ndarray, "n 2"],
-    ends: Float[np.ndarray, "n 2"],
-    top: Indices,
-    bottom: Indices,
-    rows: slice,
-    width: int,
-) -> Bool[np.ndarray, "r w"]:
+    begins: Float[Array, "n 2"], ends: Float[Array, "n 2"], top: Indices, bottom: Indices, rows: slice, width: int
+) -> Bool[Array, "r w"]:
     """Return the inside of some rows: pixels with an odd number of edges (each in rows top to bottom) to the left."""
     counts = bottom - top
     edge = np.repeat(np.arange(len(counts)), counts)

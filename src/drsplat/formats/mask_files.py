@@ -1,4 +1,4 @@
-"""Finding the masks of photos: masks/ beside images/, in the photos' own folder, or beside each photo.
+"""Masks of photos, found and written: masks/ beside images/, in the photos' own folder, or beside each photo.
 
 Source of the names: COLMAP's `ImageReader.mask_path` (masks/a.jpg.png for a.jpg); brush and nerfstudio (masks/a.png;
 masks_4/ beside images_4/); RealityScan (a.jpg.mask.png beside the photo, or a folder .mask/); Metashape (a_mask.png);
@@ -11,9 +11,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
+import numpy as np
+from PIL import Image
+
+from ..base.arrays import Mask
 from ..errors import InputError, warn
+from ..scene.photo_masks import MIN_WHITE, load_mask
+from ..scene.photos import photo_size
 from ..scene.views import View
 from .photo_files import find_files, folded
+from .replacing import replacing
 
 FOLDER, SUFFIX = "masks", ".png"
 FOLDERS = (FOLDER, "mask", ".mask")
@@ -108,3 +115,22 @@ def photo_folder(view: View) -> Path:
     depth = len(Path(view.name).parts)
     same = [folded(part) for part in path.parts[-depth:-1]] == [folded(part) for part in Path(view.name).parts[:-1]]
     return path.parents[depth - 1] if same and len(path.parents) >= depth else path.parent
+
+
+def write_mask(view: View, left_out: Mask, folder: Path) -> View:
+    """Write a mask of a view's photo, (h, w) at any size, into a folder; returns the view with it.
+
+    What the view's own mask leaves out stays left out.
+
+    Raises: InputError: the view has no photo. FormatError: its photo, or its mask, is damaged.
+    """
+    if view.image_path is None:
+        raise InputError(f"view '{view.name}' has no photo")
+    size = photo_size(view.image_path)
+    kept = Image.fromarray(np.where(left_out, 0, 255).astype(np.uint8)).resize(size, Image.Resampling.BILINEAR)
+    white, before = np.asarray(kept) >= MIN_WHITE, load_mask(replace(view, distortion=None).resized(*size))
+    path = folder / f"{view.name}{SUFFIX}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, overwrite=True) as file:
+        Image.fromarray(white if before is None else white & before).save(file, format="PNG")
+    return replace(view, mask_path=path, mask_inverted=False)

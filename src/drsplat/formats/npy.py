@@ -13,6 +13,7 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
+from ..base.arrays import Array
 from ..base.contents import open_file
 from ..errors import FormatError, InputError
 from .replacing import replacing
@@ -24,7 +25,7 @@ _SHAPE = re.compile(rb"""['"]shape['"]\s*:\s*\(([\d\s,]{0,200})\)""")
 _MAX_ARRAY_BYTES = 1 << 62  # beyond any file, within what NumPy can count
 
 
-def map_npy(path: Path) -> np.ndarray:
+def map_npy(path: Path) -> Array:
     """Map the array of integers or floats in `path`, read-only.
 
     Raises: InputError: there is no such file. FormatError: not a .npy of plain numbers, or shorter
@@ -43,7 +44,7 @@ def map_npy(path: Path) -> np.ndarray:
         raise InputError(f"{path}: there is no such file") from None
 
 
-def read_npy(content: bytes, where: str) -> np.ndarray:
+def read_npy(content: bytes, where: str) -> Array:
     """Read the array of integers or floats that a file holds. Raises: FormatError: as `map_npy`."""
     file = BytesIO(content)
     dtype, shape, order = _header(file, where)
@@ -53,7 +54,7 @@ def read_npy(content: bytes, where: str) -> np.ndarray:
     return np.frombuffer(data, dtype, math.prod(shape)).reshape(shape, order=order)
 
 
-def write_npy(path: Path, array: np.ndarray, overwrite: bool = False) -> None:
+def write_npy(path: Path, array: Array, overwrite: bool = False) -> None:
     """Write `array`, whole or not at all."""
     with replacing(path, overwrite) as file:
         np.save(file, array, allow_pickle=False)

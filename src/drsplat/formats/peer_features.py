@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import ArraysByName, Float32, Num, WholeNumbers
+from ..base.arrays import Array, ArraysByName, Float32, Num, WholeNumbers
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, MissingExtraError
 from .npy import map_npy, read_npy
@@ -44,14 +44,14 @@ class Rows(Protocol):
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, rows: slice) -> np.ndarray: ...
+    def __getitem__(self, rows: slice) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
 class ByLeaf:
     """A feature of each leaf, and the leaf of each row; -1: none."""
 
-    features: Num[np.ndarray, "l d"]
+    features: Num[Array, "l d"]
     leaves: WholeNumbers
 
     @property
@@ -65,9 +65,9 @@ class ByLeaf:
     def __len__(self) -> int:
         return len(self.leaves)
 
-    def __getitem__(self, rows: slice) -> np.ndarray:
+    def __getitem__(self, rows: slice) -> Array:
         leaves = self.leaves[rows]
-        found: np.ndarray = self.features[leaves]
+        found: Array = self.features[leaves]
         return np.where((leaves >= 0)[:, None], found, found.dtype.type(0))
 
 
@@ -75,8 +75,8 @@ class ByLeaf:
 class Decoded:
     """Codes of an autoencoder, decoded when they are asked for: linear layers with ReLU between, then unit length."""
 
-    codes: Num[np.ndarray, "n c"]
-    layers: tuple[tuple[Float32[np.ndarray, "_ _"], Float32[np.ndarray, " _"]], ...]
+    codes: Num[Array, "n c"]
+    layers: tuple[tuple[Float32[Array, "_ _"], Float32[Array, " _"]], ...]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -89,7 +89,7 @@ class Decoded:
     def __len__(self) -> int:
         return len(self.codes)
 
-    def __getitem__(self, rows: slice) -> np.ndarray:
+    def __getitem__(self, rows: slice) -> Array:
         found = self.codes[rows].astype(np.float32)
         lengths = np.linalg.norm(found, axis=1, keepdims=True)
         found = found / np.maximum(lengths, 1e-9)
@@ -187,7 +187,7 @@ def _tensors(value: Any, name: str, tensor: type, depth: int = 0) -> Iterator[tu
             yield from _tensors(part, f"{name}.{number}".lstrip("."), tensor, depth + 1)
 
 
-def _only(arrays: ArraysByName, path: Path) -> np.ndarray:
+def _only(arrays: ArraysByName, path: Path) -> Array:
     """Return the only array that can be features; in LangSplat's checkpoints that is the last of its width."""
     wide = {name: array for name, array in arrays.items() if array.ndim == 2 and array.dtype in FLOATS}
     named = [array for name, array in wide.items() if "feature" in name.lower()]
@@ -202,7 +202,7 @@ def _only(arrays: ArraysByName, path: Path) -> np.ndarray:
     raise InputError(f"{path}: expected one array of (N, D) floats, or one whose name has 'feature'; found {listed}")
 
 
-def _layers(path: Path, width: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def _layers(path: Path, width: int) -> tuple[tuple[Array, Array], ...]:
     arrays = map_tensors(path)[0] if path.suffix == ".safetensors" else _torch(path)
     numbers = sorted((int(known[1]), name) for name in arrays if (known := _LAYER.fullmatch(name)))
     layers = []

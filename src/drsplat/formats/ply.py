@@ -8,14 +8,13 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Arrays, Colors, FloatRows, Points, Shaped
-from ..base.contents import file_bytes
+from ..base.arrays import Array, Arrays, Colors, FloatRows, Points, Shaped
+from ..base.contents import AnyPath, file_bytes
 from ..errors import FormatError, InputError, placed, warn
 from .replacing import replacing
 
@@ -201,7 +200,7 @@ def _end_of_lists(buffer: memoryview, offset: int, element: Element, order: str)
 
 
 def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:
-    result: np.ndarray = np.empty(0, element.record("="))
+    result: Array = np.empty(0, element.record("="))
     lines = list(islice(rows, element.count))
     if len(lines) < element.count:
         raise FormatError(f"PLY is truncated: {len(lines)} of {element.count} lines of '{element.name}'")
@@ -251,7 +250,7 @@ def _float32_words(record: np.dtype, names: Sequence[str]) -> list[int] | None:
 
 
 def write_vertices(
-    path: str | PathLike[str], columns: Mapping[str, Shaped[np.ndarray, " n"]], overwrite: bool = False,
+    path: AnyPath, columns: Mapping[str, Shaped[Array, " n"]], overwrite: bool = False,
     comments: Sequence[str] = (),
 ) -> None:  # fmt: skip
     """Write a binary little-endian PLY, atomically: one element `vertex`, a property per column.
@@ -282,7 +281,7 @@ def write_vertices(
             file.write(block.data)
 
 
-def _code(name: str, column: Shaped[np.ndarray, " n"]) -> str:
+def _code(name: str, column: Shaped[Array, " n"]) -> str:
     if not (name.isascii() and name.isprintable() and name and " " not in name):
         raise InputError(f"'{name}' cannot name a PLY property: use printable ASCII without spaces")
     code = column.dtype.newbyteorder("<").str[1:]
@@ -293,7 +292,7 @@ def _code(name: str, column: Shaped[np.ndarray, " n"]) -> str:
     return "<" + code
 
 
-def read_point_ply(path: str | PathLike[str]) -> tuple[Points, Colors]:
+def read_point_ply(path: AnyPath) -> tuple[Points, Colors]:
     """Return the positions and RGB of the element `vertex`, in file order; other elements and properties are left out.
 
     red, green and blue are whole numbers up to 255, or fractions up to 1; without them points are grey.
@@ -309,7 +308,7 @@ def read_point_ply(path: str | PathLike[str]) -> tuple[Points, Colors]:
         raise FormatError(placed(path, error)) from None
 
 
-def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:
+def _points(rows: Records) -> tuple[Array, Array]:
     names = rows.dtype.names or ()
     missing = [name for name in AXES if name not in names]
     if missing:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..base import system
+from ..base.contents import AnyPath
 from ..errors import InputError
 
 _WAITING: ContextVar[list[tuple[Path, Path, int | None]] | None] = ContextVar("waiting", default=None)
@@ -45,7 +46,7 @@ class _Writer(io.BufferedWriter):
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[BinaryIO]:
+def replacing(path: AnyPath, overwrite: bool = False) -> Iterator[BinaryIO]:
     """Open a new file beside `path` that takes its name when the block ends well, or else vanishes.
 
     Raises: InputError: `path` exists and `overwrite` is false, is a folder, or has no folder to be
@@ -211,7 +212,7 @@ class ClaimedError(InputError):
 
 
 @contextmanager
-def claimed_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
+def claimed_folder(folder: AnyPath) -> Iterator[None]:
     """Make a folder, and while the block runs let no other process claim it; the lock is in it.
 
     The kernel holds the lock, on a file that says who has it. When a process is killed the lock is gone with it:
@@ -228,7 +229,7 @@ def claimed_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
 
 
 @contextmanager
-def claimed_output(output: str | os.PathLike[str], patience: float = 0.0) -> Iterator[None]:
+def claimed_output(output: AnyPath, patience: float = 0.0) -> Iterator[None]:
     """Claim an output that appears as a whole and may not exist yet; the lock is beside it, see `claimed_folder`.
 
     patience: seconds to wait for another process or thread that has it.

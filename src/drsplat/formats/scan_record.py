@@ -8,8 +8,9 @@ stages            by name: options, whether it is done, its seconds and what it 
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from ..base.contents import Document
 from .json_files import as_document, as_fields, read_json, write_json
 
 RECORD = "scan.json"
@@ -24,7 +25,7 @@ class _Stage(NamedTuple):
 _PARTS = {"input": dict[str, object], "capture": str, "models": dict[str, object], "stages": dict[str, _Stage]}
 
 
-def read_scan_record(folder: Path) -> dict[str, Any] | None:
+def read_scan_record(folder: Path) -> Document | None:
     """Return the record of a scanned folder, None where there is none.
 
     Raises: FormatError: damaged, or of a later version.
@@ -37,7 +38,7 @@ def read_scan_record(folder: Path) -> dict[str, Any] | None:
     return record
 
 
-def write_scan_record(folder: Path, record: dict[str, Any]) -> None:
+def write_scan_record(folder: Path, record: Document) -> None:
     """Replace the record of a folder. Raises: InputError: the disk is full."""
     document = {"format": FORMAT, "version": VERSION, **record}
     write_json(folder / RECORD, document, overwrite=True, end="", default=_plain)

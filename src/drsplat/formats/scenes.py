@@ -9,10 +9,9 @@ import re
 from collections.abc import Iterator
 from enum import Enum
 from itertools import islice
-from os import PathLike
 from pathlib import Path
 
-from ..base.contents import file_bytes, open_file
+from ..base.contents import AnyPath, file_bytes, open_file
 from ..errors import DrSplatError, FormatError, InputError, did_you_mean, placed, warn
 from ..scene.gaussians import Gaussians
 from ..scene.units import lost_precision
@@ -222,7 +221,7 @@ def _kind_of_most(path: Path) -> Kind:
     return _IN_FOLDERS.get(most, most)
 
 
-def read_gaussians(path: str | PathLike[str]) -> Gaussians:
+def read_gaussians(path: AnyPath) -> Gaussians:
     """Read a scene: PLY of 3DGS, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, GLB, USD, tiles, or a model.
 
     The format is told by the file's first bytes; `.splat` and `.gltf`, which have no mark, by their suffix.
@@ -285,7 +284,7 @@ def scene_file(path: Path) -> Path:
     return found[max(found)]
 
 
-def companion(scene: str | PathLike[str], kind: str) -> Path:
+def companion(scene: AnyPath, kind: str) -> Path:
     """Return the path of a file beside a scene: NAME.kind.json of the file NAME.ply, or of the folder NAME."""
     path = Path(scene)
     path = path.resolve() if path.is_dir() else path

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Arrays, Float32, FloatRows, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
+from ..base.arrays import Array, Arrays, Float32, FloatRows, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, flat
@@ -168,7 +168,7 @@ def webp_size(data: bytes, name: str) -> tuple[int, int]:
     raise FormatError(f"'{name}' is a WebP without a picture")
 
 
-def webp_pixels(data: bytes, name: str) -> UInt8[np.ndarray, "h w 4"]:
+def webp_pixels(data: bytes, name: str) -> UInt8[Array, "h w 4"]:
     """Return RGBA as stored; only once `webp_size` has been judged.
 
     Raises: FormatError: it cannot be decoded, or is not of the size that it declares.
@@ -282,23 +282,23 @@ class _Sog:
         refuse_implausible(4 * width * height, max(noise, len(data)))
         return webp_pixels(data, name).reshape(-1, 4)[: self.count]
 
-    def _between(self, part: str, steps: np.ndarray, most: int) -> FloatRows:
+    def _between(self, part: str, steps: Array, most: int) -> FloatRows:
         """Return `most` steps from mins to maxs."""
         mins, maxs = (
             as_vector(_part(self.meta, part).get(end), steps.shape[1], f"{META}: {part}: {end}")
             for end in ("mins", "maxs")
         )
-        values: np.ndarray = mins + (maxs - mins) * (steps / most)
+        values: Array = mins + (maxs - mins) * (steps / most)
         return values.astype(np.float32)
 
-    def _looked_up(self, part: str, codes: np.ndarray) -> Float32[np.ndarray, "*n"]:
+    def _looked_up(self, part: str, codes: Array) -> Float32[Array, "*n"]:
         book = as_vector(_part(self.meta, part).get("codebook"), 256, f"{META}: {part}: codebook")
         return book.astype(np.float32)[codes]
 
     def _means(self) -> Vectors:
         low, high = (self._plane("means", place)[:, :3].astype(np.uint16) for place in (0, 1))
         logs = self._between("means", low | high << 8, 65535).astype(np.float64)
-        means: np.ndarray = np.sign(logs) * np.expm1(np.abs(logs))
+        means: Array = np.sign(logs) * np.expm1(np.abs(logs))
         return means.astype(np.float32)
 
     def _quats(self) -> Quats:

@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..base.arrays import (
+    Array,
     ByteRows,
     ByteValues,
     Doubles,
@@ -143,15 +144,15 @@ def picture(rows: ByteRows, width: int = 0) -> bytes:
 
 
 def coded(
-    values: Float32[np.ndarray, "..."], importance: Importance = np.ones_like
-) -> tuple[list[float], UInt8[np.ndarray, "..."]]:
+    values: Float32[Array, "..."], importance: Importance = np.ones_like
+) -> tuple[list[float], UInt8[Array, "..."]]:
     """Return a codebook of 256 numbers, ascending, and the nearest of them for each value; see `codebook`."""
     book = codebook(values, importance)
     codes = np.searchsorted((book[1:] + book[:-1]) / 2, values.astype(np.float64)).astype(np.uint8)
     return [float(number) for number in book.astype(np.float32)], codes
 
 
-def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.ones_like) -> Doubles:
+def codebook(values: Float32[Array, "..."], importance: Importance = np.ones_like) -> Doubles:
     """Return the weighted k-means of single numbers, by Lloyd's algorithm on the sorted values.
 
     At most 256 distinct values are kept exactly. Cells of sorted numbers are runs, so a step costs 256 look-ups. The
@@ -168,7 +169,7 @@ def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.one
     masses, moments = (np.concatenate([[0.0], np.cumsum(part)]) for part in (weights, weights * ascending))
     counted, edges = np.histogram(ascending, HISTOGRAM_BINS, weights=weights)
     reached = np.concatenate([[0.0], np.cumsum(np.cbrt(counted))])
-    book: np.ndarray = np.interp((np.arange(CODEBOOK_ENTRIES) + 0.5) / CODEBOOK_ENTRIES * reached[-1], reached, edges)
+    book: Array = np.interp((np.arange(CODEBOOK_ENTRIES) + 0.5) / CODEBOOK_ENTRIES * reached[-1], reached, edges)
     for _ in range(LLOYD_STEPS):
         ends = np.concatenate([[0], np.searchsorted(ascending, (book[1:] + book[:-1]) / 2), [len(ascending)]])
         mass, moment = (sums[ends[1:]] - sums[ends[:-1]] for sums in (masses, moments))
@@ -193,11 +194,11 @@ def _means(means: Vectors) -> tuple[dict[str, object], dict[str, bytes]]:
     return {"mins": low.tolist(), "maxs": high.tolist(), "files": list(files)}, files
 
 
-def low_bytes(values: Integer[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
+def low_bytes(values: Integer[Array, "..."]) -> UInt8[Array, "..."]:
     return np.asarray(values & 255).astype(np.uint8)
 
 
-def _quats(quats: Quats) -> UInt8[np.ndarray, "n 4"]:
+def _quats(quats: Quats) -> UInt8[Array, "n 4"]:
     largest = np.abs(quats).argmax(1)
     signs = np.where(np.take_along_axis(quats, largest[:, None], 1) < 0, -1, 1)
     three = np.take_along_axis(quats, OTHER_COMPONENTS[largest], 1) * signs * np.sqrt(2)

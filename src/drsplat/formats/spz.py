@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Arrays, Float32, Harmonics, Quats, UInt8
+from ..base.arrays import Array, Arrays, Float32, Harmonics, Quats, UInt8
 from ..base.contents import file_bytes
 from ..errors import FormatError, warn
 from ..scene.gaussians import Gaussians
@@ -144,7 +144,7 @@ def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
         offset += 8 + length
 
 
-def _planes(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
+def _planes(buffer: memoryview) -> tuple[list[UInt8[Array, " _"]], bytes, SpzHeader]:
     if bytes(buffer[:4]) == MAGIC and _header(bytes(buffer[: PREFIX.size])).version == 4:
         return _separate(buffer)
     return _concatenated(buffer)
@@ -168,7 +168,7 @@ def _header(raw: bytes) -> SpzHeader:
     return header
 
 
-def _concatenated(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
+def _concatenated(buffer: memoryview) -> tuple[list[UInt8[Array, " _"]], bytes, SpzHeader]:
     """Read versions 2 and 3: the header, all planes and perhaps extensions in one gzip stream."""
 
     def payload_bytes(start: bytes) -> int:
@@ -186,7 +186,7 @@ def _concatenated(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], by
     return np.split(whole, np.cumsum(sizes)[:-1]), tail, header
 
 
-def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
+def _separate(buffer: memoryview) -> tuple[list[UInt8[Array, " _"]], bytes, SpzHeader]:
     """Read version 4: header, extensions, table of contents, a zstd stream per plane that has bytes."""
     if len(buffer) < HEADER_BYTES:
         raise FormatError("SPZ is truncated in its header")
@@ -216,13 +216,13 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
     return (planes, bytes(buffer[HEADER_BYTES:contents]) if header.flags & HAS_EXTENSIONS else b"", header)
 
 
-def _first_three(plane: UInt8[np.ndarray, " _"]) -> Quats:
+def _first_three(plane: UInt8[Array, " _"]) -> Quats:
     xyz = plane.reshape(-1, 3).astype(np.float32) / np.float32(127.5) - 1
     w = np.sqrt(np.maximum(1 - np.einsum("ni,ni->n", xyz, xyz), 0))
     return np.column_stack([w, xyz])
 
 
-def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Quats:
+def _smallest_three(plane: UInt8[Array, " _"]) -> Quats:
     packed = plane.view("<u4").astype(np.uint32)
     fields = (packed[:, None] >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
     magnitudes = (fields & np.uint32(511)).astype(np.float32) * np.float32(np.sqrt(0.5) / 511)
@@ -231,7 +231,7 @@ def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Quats:
 
 
 def _harmonics(
-    colours: UInt8[np.ndarray, " _"], rest: UInt8[np.ndarray, " _"], header: SpzHeader, signs: Float32[np.ndarray, "3"]
+    colours: UInt8[Array, " _"], rest: UInt8[Array, " _"], header: SpzHeader, signs: Float32[Array, "3"]
 ) -> Harmonics:
     n = header.count
     kept = min(REST_COEFFICIENTS[header.degree], len(PARITIES))

@@ -15,7 +15,7 @@ import struct
 
 import numpy as np
 
-from ..base.arrays import Quats, UInt8
+from ..base.arrays import Array, Quats, UInt8
 from ..errors import FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.labelled import LabelledScene
@@ -127,7 +127,7 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
     )
 
 
-def _smallest_three(quats: Quats) -> np.ndarray:
+def _smallest_three(quats: Quats) -> Array:
     """Pack (w, x, y, z): sign and 9 bits of each but the largest, whose index among (x, y, z, w) is on top."""
     xyzw = quats[:, [1, 2, 3, 0]]
     largest = np.abs(xyzw).argmax(1)
@@ -141,5 +141,5 @@ def _smallest_three(quats: Quats) -> np.ndarray:
     return packed.astype("<u4")
 
 
-def _byte(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+def _byte(values: Array) -> UInt8[Array, "..."]:
     return np.asarray(np.clip(np.rint(values), 0, 255)).astype(np.uint8)

@@ -21,10 +21,10 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from ..base.contents import Document
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.labelled import LabelledScene
@@ -107,7 +107,7 @@ def chunks_of(lod_meta: Path, level: int = 0) -> list[Path]:
     return paths + ([] if environment is None else [_inside(lod_meta, environment)])
 
 
-def _document(lod_meta: Path) -> dict[str, Any]:
+def _document(lod_meta: Path) -> Document:
     document = read_json(lod_meta)
     if not isinstance(document, dict) or document.get("version") != 1 or isinstance(document.get("version"), bool):
         version = document.get("version") if isinstance(document, dict) else None
@@ -207,7 +207,7 @@ class _Writer:
     filenames: list[str] = field(default_factory=list)
     open_chunks: dict[int, _Chunk] = field(default_factory=dict)
     counts: list[int] = field(default_factory=lambda: [0] * LEVELS)
-    leaves: list[dict[str, Any]] = field(default_factory=list)
+    leaves: list[Document] = field(default_factory=list)
 
     def add(self, run: Gaussians) -> None:
         """Add a leaf with all of its levels."""
@@ -272,7 +272,7 @@ def _write_files(folder: Path, files: Mapping[str, bytes]) -> None:
             file.write(content)
 
 
-def _tree(leaves: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _tree(leaves: Sequence[Document]) -> Document:
     """Return a binary tree over leaves in their order; the box of a node is that of its children together."""
     if len(leaves) == 1:
         return leaves[0]

@@ -10,7 +10,6 @@ In safetensors files they stand in the header's metadata, in JSON documents besi
 import hashlib
 import json
 import math
-import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -20,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Arrays, ArraysByName
-from ..base.contents import file_bytes, open_file, pieces
+from ..base.arrays import Array, Arrays, ArraysByName
+from ..base.contents import AnyPath, file_bytes, open_file, pieces
 from ..errors import FormatError, InputError
 from .json_files import document_in, unique_names
 from .replacing import replacing
@@ -111,7 +110,7 @@ def written_rows(tensors: ArraysByName, metadata: Mapping[str, str], where: str)
     return written
 
 
-def check_row(row: np.ndarray, sums: Sequence[str], number: int, where: str) -> None:
+def check_row(row: Array, sums: Sequence[str], number: int, where: str) -> None:
     """Compare one row with its checksum. Raises: FormatError: another row than was written."""
     if _hex(pieces(row)) != sums[number]:
         raise FormatError(f"{where}: damaged: row {number} is not what was written")
@@ -194,10 +193,7 @@ CACHE_LINE_BYTES = 64
 
 
 def write_tensors(
-    path: str | os.PathLike[str],
-    tensors: ArraysByName,
-    metadata: Mapping[str, str] | None = None,
-    overwrite: bool = False,
+    path: AnyPath, tensors: ArraysByName, metadata: Mapping[str, str] | None = None, overwrite: bool = False
 ) -> str:
     """Write named arrays and text metadata, whole or not at all, with their checksums.
 
@@ -229,7 +225,7 @@ def write_tensors(
     return header_checksum(summed["__metadata__"])
 
 
-def map_tensors(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
+def map_tensors(path: AnyPath) -> tuple[Arrays, dict[str, str]]:
     """Return the arrays of a file, read-only, and its metadata; small files are read, others mapped (`file_bytes`).
 
     The header is compared with its checksum where it has one, the arrays are not: see `read_tensors`.
@@ -256,7 +252,7 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
     return tensors, metadata
 
 
-def read_tensors(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
+def read_tensors(path: AnyPath) -> tuple[Arrays, dict[str, str]]:
     """Read a file of ours, each array compared with its checksum; see `map_tensors`.
 
     Raises: as `map_tensors`; FormatError: an array is not what was written, or has no checksum.
@@ -284,7 +280,7 @@ def check_tensors(tensors: ArraysByName, expected: Mapping[str, tuple[str, str]]
                 raise FormatError(f"{where}: {name}: expected {dimension} = {lengths[dimension]}, got {length}")
 
 
-def _header(raw: np.ndarray, path: Path) -> tuple[dict[str, Any], np.ndarray]:
+def _header(raw: Array, path: Path) -> tuple[dict[str, Any], Array]:
     length = int.from_bytes(raw[:8].tobytes(), "little")
     if raw.size < 8 or length > min(raw.size - 8, _MAX_HEADER_BYTES):
         raise FormatError(f"{path}: expected safetensors: a header of {length} bytes in a file of {raw.size}")

@@ -17,11 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..base.arrays import Ids, Matrix4, OtherIds, Vector3
+from ..base.contents import Document
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
 from ..scene.labelled import PLY_UP, LabelledScene, Thing, numbers_of
@@ -78,7 +79,7 @@ class TiledScene(NamedTuple):
 class _Node(NamedTuple):
     """A tile that is written. waiting: file of its Gaussians, for the tile above. error: metres."""
 
-    tile: dict[str, Any]
+    tile: Document
     waiting: Path
     num_gaussians: int
     error: float
@@ -184,7 +185,7 @@ class _Writer:
         high = np.max([high, *(child.high for child in children)], axis=0)
         # the middle of a box and its three half axes, in the axes of a tileset
         half = np.diag((high - low) / 2) @ Z_UP_FROM_PLY.T
-        tile: dict[str, Any] = {
+        tile: Document = {
             "boundingVolume": {"box": [*(Z_UP_FROM_PLY @ (low + high) / 2).tolist(), *half.ravel().tolist()]},
             "geometricError": error,
             "content": {"uri": name},
@@ -210,7 +211,7 @@ def _read_aside(path: Path) -> Gaussians:
     return Gaussians(means, quats, scales, opacities, sh, objects, arrays["origin"], bool(arrays["antialiased"]))
 
 
-def _tileset(root: _Node, transform: Matrix4) -> dict[str, Any]:
+def _tileset(root: _Node, transform: Matrix4) -> Document:
     from .. import __version__
 
     names = [SPLATTING, SPZ]
@@ -252,11 +253,9 @@ def content_glb(
 
     binary = Binary()
     spz = binary.column(np.frombuffer(spz_bytes(gaussians), np.uint8))
-    extensions: dict[str, Any] = {
-        SPLATTING: {**KEPT, "projection": "perspective", "extensions": {SPZ: {"bufferView": spz}}}
-    }
+    extensions: Document = {SPLATTING: {**KEPT, "projection": "perspective", "extensions": {SPZ: {"bufferView": spz}}}}
     attributes = _declared(gaussians, binary)
-    document: dict[str, Any] = {}
+    document: Document = {}
     if objects is not None and (objects >= 0).any():
         used, table = _table_of(objects, things)
         rows = np.where(objects < 0, -1, np.searchsorted(used, objects)).astype(np.int32)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Array, Float64
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError, InputError, placed, warn
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated
@@ -155,7 +155,7 @@ def _splat(prim: UsdPrim) -> Gaussians:
     return replace(gaussians, origin=_numbers(prim, "drsplat:origin", np.zeros(3)))
 
 
-def _rows(prim: UsdPrim, name: str, width: int) -> np.ndarray:
+def _rows(prim: UsdPrim, name: str, width: int) -> Array:
     """Return an array of float32, or of half precision where there is no other."""
     value = next((prim.attributes[n] for n in (name, f"{name}h") if n in prim.attributes), None)
     if value is None and any(f"{n}{TIME_SAMPLES}" in prim.attributes for n in (name, f"{name}h")):
@@ -165,7 +165,7 @@ def _rows(prim: UsdPrim, name: str, width: int) -> np.ndarray:
     return value.astype(np.float32).reshape(-1, width)
 
 
-def _harmonics(prim: UsdPrim, count: int) -> np.ndarray:
+def _harmonics(prim: UsdPrim, count: int) -> Array:
     """Return (count, k, 3) coefficients; those of degrees above 3 are left out, with a warning."""
     degree = _number(prim, "radiance:sphericalHarmonicsDegree", MAX_DEGREE)
     if not (0 <= degree <= MAX_STORED_DEGREE and degree == int(degree)):
@@ -184,12 +184,12 @@ def _harmonics(prim: UsdPrim, count: int) -> np.ndarray:
 
 
 @np.errstate(all="ignore")
-def _column(value: np.ndarray, dtype: type) -> np.ndarray:
-    column: np.ndarray = value.astype(dtype)
+def _column(value: Array, dtype: type) -> Array:
+    column: Array = value.astype(dtype)
     return column if (column == value).all() else value
 
 
-def _numbers(prim: UsdPrim, name: str, default: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
+def _numbers(prim: UsdPrim, name: str, default: Float64[Array, "..."]) -> Float64[Array, "..."]:
     """Return finite numbers of the default's shape, the default where there are none."""
     value = prim.attributes.get(name)
     if value is None:

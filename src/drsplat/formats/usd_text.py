@@ -14,6 +14,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from ..base.arrays import Array
 from ..errors import FormatError
 
 MAX_NESTING = 200  # of prims, and of brackets in a skipped value
@@ -327,12 +328,12 @@ def _dtype_of(kind: str) -> type:
 
 
 @np.errstate(over="ignore")
-def _numbers_in(text: memoryview, dtype: type) -> np.ndarray:
+def _numbers_in(text: memoryview, dtype: type) -> Array:
     """Return the numbers of a list or of tuples in a list, flat, a piece of the text at a time.
 
     Raises: FormatError: something else than numbers with commas between them.
     """
-    parts: list[np.ndarray] = [np.empty(0, dtype)]
+    parts: list[Array] = [np.empty(0, dtype)]
     commas = begin = 0
     while begin < len(text):
         piece = bytes(text[begin : begin + CHUNK_BYTES])
@@ -343,13 +344,13 @@ def _numbers_in(text: memoryview, dtype: type) -> np.ndarray:
         begin += len(piece)
         commas += piece.count(b",")
         parts.append(_parsed(piece.translate(_TO_SPACES)).astype(dtype))
-    numbers: np.ndarray = np.concatenate(parts)
+    numbers: Array = np.concatenate(parts)
     if commas not in (max(len(numbers) - 1, 0), len(numbers)):
         raise FormatError(f"USD text: expected a comma after each number, got {commas:,} after {len(numbers):,}")
     return numbers
 
 
-def _parsed(text: bytes) -> np.ndarray:
+def _parsed(text: bytes) -> Array:
     try:
         if len(text) < MIN_NUMPY_BYTES:  # most of them: a box's
             return np.array([float(number) for number in text.split()])

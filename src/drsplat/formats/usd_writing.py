@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32
+from ..base.arrays import Array, Float32
 from ..errors import InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.labelled import Annotation, LabelledScene, Thing
@@ -35,7 +35,7 @@ class Column(NamedTuple):
 
     kind: str
     name: str
-    rows: np.ndarray
+    rows: Array
     metadata: str = ""
 
 
@@ -72,7 +72,7 @@ def columns_of(scene: LabelledScene) -> list[Column]:
     return columns
 
 
-def extent_of(gaussians: Gaussians) -> Float32[np.ndarray, "2 3"]:
+def extent_of(gaussians: Gaussians) -> Float32[Array, "2 3"]:
     """Return the lowest and highest corner of a box that holds all Gaussians up to three standard deviations."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for begin in range(0, len(gaussians), BLOCK_ROWS):
@@ -167,7 +167,7 @@ def _annotation_text(number: int, annotation: Annotation) -> str:
     return _prim_text("Xform", "annotation", number, annotation.text, lines)
 
 
-def _box_lines(center: np.ndarray, axes: np.ndarray, extent: np.ndarray) -> list[str]:
+def _box_lines(center: Array, axes: Array, extent: Array) -> list[str]:
     """Return a cube of side 1 that is stretched and turned to the box, and the box in numbers."""
     rows = np.asarray(axes, np.float64)
     return [
@@ -204,7 +204,7 @@ def quoted(text: str) -> str:
     return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda match: f"\\x{ord(match[0]):02x}", escaped) + '"'
 
 
-def _matrix(linear: np.ndarray, translation: np.ndarray | tuple[float, ...] = (0.0, 0.0, 0.0)) -> str:
+def _matrix(linear: Array, translation: Array | tuple[float, ...] = (0.0, 0.0, 0.0)) -> str:
     """Return a matrix4d, which USD multiplies from the right of a row: the transpose of what columns take."""
     rows = [(*row, 0.0) for row in np.asarray(linear).T] + [(*translation, 1.0)]
     return f"( {', '.join(map(_tuple, rows))} )"

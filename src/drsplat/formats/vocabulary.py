@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Embeddings
+from ..base.arrays import Array, Embeddings
 from ..errors import FormatError, InputError, did_you_mean
 from ..scene.encoders import EncoderIdentity
 from .json_files import as_kind, as_vector, document_in, excerpt, is_text, read_json
@@ -83,7 +83,7 @@ def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEnco
     bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
     if len(bad):
         raise FormatError(f"{path}: the vector of {excerpt(texts[bad[0]])} has no direction (zero or not finite)")
-    unit: np.ndarray = (wide / norms[:, None]).astype(np.float32)
+    unit: Array = (wide / norms[:, None]).astype(np.float32)
     return VocabularyEncoder(identity, texts, unit)
 
 
@@ -97,7 +97,7 @@ def write_vocabulary(path: str | Path, encoder: VocabularyEncoder, overwrite: bo
     write_tensors(path, {TENSOR: encoder.embeddings}, metadata, overwrite)
 
 
-def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
+def _read_json(path: Path) -> tuple[list[str], Array]:
     document = read_json(path)
     if not isinstance(document, dict) or not document:
         raise FormatError(f"{path}: expected a JSON object {{text: [numbers, ...]}}, got {excerpt(document)}")
@@ -116,7 +116,7 @@ def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
     return list(document), np.stack(vectors)
 
 
-def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, str]]:
+def _read_safetensors(path: Path) -> tuple[list[str], Array, Mapping[str, str]]:
     tensors, metadata = map_tensors(path)
     vectors = tensors.get(TENSOR)
     if vectors is None or "texts" not in metadata:

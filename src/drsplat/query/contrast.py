@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Embeddings, Flags, Float, Float32, Float64, Integer, UInt16
+from ..base.arrays import Array, Bool, Embedding, Embeddings, Flags, Float, Float32, Float64, Integer, UInt16
 from ..base.contents import release, scratch
 from ..field import LanguageField
 from ..kernels.algebra import dense_rows, row_products
@@ -56,10 +56,10 @@ class Contrast:
     vectors: Embeddings
     usual: Embedding
     spread: float
-    scores: Float32[np.ndarray, "r t"]
-    words: UInt16[np.ndarray, "r t"]
+    scores: Float32[Array, "r t"]
+    words: UInt16[Array, "r t"]
     of_kind: bool = False
-    counts: Integer[np.ndarray, " r"] | None = None
+    counts: Integer[Array, " r"] | None = None
 
     @property
     def num_rows(self) -> int:
@@ -85,8 +85,8 @@ class Contrast:
         return peak_score(self._of_each((self.scores + levels).max(1)), peak) if len(self.scores) else 0.0
 
     def relevancy(
-        self, query: Embedding, scores: Float32[np.ndarray, " r"], same: Flags | None = None
-    ) -> Float32[np.ndarray, " r"] | None:
+        self, query: Embedding, scores: Float32[Array, " r"], same: Flags | None = None
+    ) -> Float32[Array, " r"] | None:
         """Return values in (0, 1): above 0.5 where the query fits better than all words but one in WORDS_PER_RIVAL.
 
         query: the vector of a text. scores: its cosines. same: words that do not compete with it beside those that mean
@@ -114,7 +114,7 @@ class Contrast:
         near = _near(self.vectors, query)
         return near if same is None else near | same
 
-    def _of_each(self, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " f"]:
+    def _of_each(self, values: Float32[Array, " r"]) -> Float32[Array, " f"]:
         """Return the values of all rows of the field."""
         return values if self.counts is None else np.repeat(values, self.counts)
 
@@ -125,8 +125,8 @@ class Contrast:
         return bool(to_words > to_pictures)
 
     def raised(
-        self, query: Embedding, scores: Float32[np.ndarray, " r"], same: Flags | None, score: Score
-    ) -> Float32[np.ndarray, " r"]:
+        self, query: Embedding, scores: Float32[Array, " r"], same: Flags | None, score: Score
+    ) -> Float32[Array, " r"]:
         """Return the cosines of a query, raised to those of the best name of its kind, what is usual of each taken off.
 
         same: the names of its kind, None for none. score: gives the cosines (c, r) of some vectors.
@@ -140,7 +140,7 @@ class Contrast:
             np.maximum(best, (score(vectors[some]) - usual[some, None]).max(axis=0), out=best)
         return best
 
-    def rival(self, query: Embedding, values: Float32[np.ndarray, " r"], same: Flags | None = None) -> int | None:
+    def rival(self, query: Embedding, values: Float32[Array, " r"], same: Flags | None = None) -> int | None:
         """Return the number of the word that fits best where the query fits best; None: none that means another thing.
 
         values: relevancies of the query, one per row here. same: as of `relevancy`.
@@ -151,7 +151,7 @@ class Contrast:
         first = best[np.arange(len(best)), others.argmax(1)][others.any(1)]
         return int(np.bincount(first).argmax()) if len(first) else None
 
-    def at(self, features: Float32[np.ndarray, "m D"]) -> "Contrast":
+    def at(self, features: Float32[Array, "m D"]) -> "Contrast":
         """Return what the words reach at other unit features, held against the same pictures."""
         scores, words = _best_words_of(features, self.vectors, self.usual)
         return replace(self, scores=scores, words=words)
@@ -172,7 +172,7 @@ def _near(vectors: Embeddings, query: Embedding) -> Flags:
     return last[2]
 
 
-def near_each(vectors: Embeddings, queries: Float32[np.ndarray, "q D"]) -> Bool[np.ndarray, "n q"]:
+def near_each(vectors: Embeddings, queries: Float32[Array, "q D"]) -> Bool[Array, "n q"]:
     """Mark the words that mean the same as each of many unit queries: what `_near` does for one.
 
     Both are seen from the mean of the list and the query: with c = n + 1 texts and all from the list's mean, that of a
@@ -206,10 +206,10 @@ def contrast_of_kind(field: LanguageField, vectors: Embeddings, *, threads: int 
 
 
 def contrast_of(
-    features: Float32[np.ndarray, "m D"],
+    features: Float32[Array, "m D"],
     vectors: Embeddings,
     *,
-    pictures: Float32[np.ndarray, "s D"] | None = None,
+    pictures: Float32[Array, "s D"] | None = None,
     of_kind: bool = False,
 ) -> Contrast:
     """Score words at unit features without a field. pictures: of the scene; None: the features themselves."""
@@ -219,7 +219,7 @@ def contrast_of(
 
 
 def relevancy_threshold(
-    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS, clear_margin: float = CLEAR_MARGIN
+    relevancy: Float32[Array, " r"], peak: int = PEAK_ROWS, clear_margin: float = CLEAR_MARGIN
 ) -> float:
     """Return 0.5, or the highest where too few rows stand clearly above: then nothing is found."""
     return clear_threshold(relevancy, LIST_RELEVANCY, least_clear(len(relevancy), clear_margin), peak=peak)
@@ -230,7 +230,7 @@ def least_clear(rows: int, margin: float = CLEAR_MARGIN) -> float:
     return _sigmoid(margin + CLEAR_MARGIN_PER_EFOLD * float(np.log(max(rows, CLEAR_MARGIN_ROWS) / CLEAR_MARGIN_ROWS)))
 
 
-def certainty_of(relevancy: Float32[np.ndarray, " r"], peak: int, clear_margin: float, names: int = 1) -> str:
+def certainty_of(relevancy: Float32[Array, " r"], peak: int, clear_margin: float, names: int = 1) -> str:
     """Return whether a query is found for sure, maybe, or not at all, by how far its peak stands above the list.
 
     Maybe: it misses the clear margin by at most `MAYBE_SPREADS`, because another word fits nearly as well or better.
@@ -249,7 +249,7 @@ def margin_of(clear_margin: float, names: int) -> float:
     return clear_margin + KIND_MARGIN_PER_EFOLD * float(np.log(max(names, 1)))
 
 
-def own_level(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS) -> float:
+def own_level(relevancy: Float32[Array, " r"], peak: int = PEAK_ROWS) -> float:
     """Return a threshold that leaves out what fits a query in part, whether or not all of it stands above the list.
 
     In margins: 0.6 of what is 0.7 of the way from the median of what fits worse than the list to what 1 in 500 reaches,
@@ -262,13 +262,13 @@ def own_level(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS) -> fl
     return _sigmoid(OWN_THRESHOLD_SHARE * (middle + WAY_TO_PEAK_SHARE * (height - middle)))
 
 
-def _margin(relevancy: Float[np.ndarray, "*any"]) -> Float64[np.ndarray, "*any"]:
+def _margin(relevancy: Float[Array, "*any"]) -> Float64[Array, "*any"]:
     """Return what `_sigmoid` makes relevancies of; it rises with them, so that quantiles may be taken before."""
     inside = np.clip(relevancy.astype(np.float64), 1e-12, 1 - 1e-12)
     return np.asarray(np.log(inside / (1 - inside)))
 
 
-def usual_pictures(field: LanguageField, most: int = MAX_USUAL_PICTURES) -> Float32[np.ndarray, "s D"]:
+def usual_pictures(field: LanguageField, most: int = MAX_USUAL_PICTURES) -> Float32[Array, "s D"]:
     """Return embeddings of masks spread over the photos; where they were not kept, features of Gaussians."""
     evidence = field.evidence
     count = len(field) if evidence is None else len(evidence.embeddings)
@@ -276,7 +276,7 @@ def usual_pictures(field: LanguageField, most: int = MAX_USUAL_PICTURES) -> Floa
     return field.feature(rows) if evidence is None else np.asarray(evidence.embeddings[rows])
 
 
-_last_near: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+_last_near: tuple[Array, Array, Array] | None = None
 _LAST_CONTRASTS: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 
@@ -287,7 +287,7 @@ def _contrast(field: LanguageField, vectors: Embeddings, threads: int) -> Contra
     return Contrast(vectors, usual, spread, scores, words)
 
 
-def _usual(pictures: Float32[np.ndarray, "s D"], vectors: Embeddings, threads: int) -> tuple[Embedding, float]:
+def _usual(pictures: Float32[Array, "s D"], vectors: Embeddings, threads: int) -> tuple[Embedding, float]:
     """Return the mean picture times USUAL_COSINE_SHARE, and the unit of margins."""
     usual = (USUAL_COSINE_SHARE * pictures.mean(0, dtype=np.float64)).astype(np.float32)
     return usual, _spread(dense_rows(pictures, vectors.T, threads=threads))
@@ -299,7 +299,7 @@ def _best_words(
     runs: Sequence[tuple[slice, Score]],
     threads: int = 1,
     at_once: int = WORDS_AT_ONCE,
-) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
+) -> tuple[Float32[Array, "r t"], UInt16[Array, "r t"]]:
     """Return the best words. runs: rows, and what gives the cosines (c, r) of `at_once` words with them."""
     kept = min(len(vectors), max(1, round(len(vectors) / WORDS_PER_RIVAL)) + SPARE_WORDS)
     rows = runs[-1][0].stop
@@ -316,8 +316,8 @@ def _best_words(
 
 
 def _best_words_of(
-    features: Float32[np.ndarray, "m D"], vectors: Embeddings, usual: Embedding
-) -> tuple[Float32[np.ndarray, "m t"], UInt16[np.ndarray, "m t"]]:
+    features: Float32[Array, "m D"], vectors: Embeddings, usual: Embedding
+) -> tuple[Float32[Array, "m t"], UInt16[Array, "m t"]]:
     at_once = max(WORDS_AT_ONCE, min(MAX_WORDS_AT_ONCE, MAX_SCORES_AT_ONCE // max(len(features), 1)))
     runs = [(slice(0, len(features)), lambda some: dense_rows(features, some.T, threads=1).T)]
     return _best_words(vectors, usual, runs, at_once=at_once)
@@ -327,7 +327,7 @@ def _sigmoid(margin: float) -> float:
     return 1 / (1 + float(np.exp(-margin)))
 
 
-def _spread(cosines: Float64[np.ndarray, "s n"] | Float32[np.ndarray, "s n"]) -> float:
+def _spread(cosines: Float64[Array, "s n"] | Float32[Array, "s n"]) -> float:
     """Return the standard deviation of what is left of cosines without the means of words and pictures."""
     left = cosines - cosines.mean(0)
     if left.shape[1] > 1:

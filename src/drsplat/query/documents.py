@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Matrix3, PlanePoints, Shaped, Vector3
+from ..base.arrays import Array, Matrix3, PlanePoints, Shaped, Vector3
+from ..base.contents import Document
 from ..field.evidence.evidence import Explanation
 from ..field.objects.agreed import FEW_PHOTOS
 from ..formats.georeference import Georeference
@@ -17,7 +18,6 @@ from .answer import Answer, Match, MatchTrack, Segmentation
 from .objects import objects_of, photos_of
 from .scene import Scene
 
-Document = dict[str, Any]
 SHARE_DECIMALS = 4
 CORNER_SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 DEGREE_DECIMALS, HEIGHT_DECIMALS = 9, 4  # a ten-thousandth of a metre
@@ -124,7 +124,7 @@ def object_documents(scene: Scene, listed: Iterable[Match], decimals: int | None
     ]
 
 
-def rounded(values: Shaped[np.ndarray, "*any"] | Iterable[float] | float, decimals: int | None = None) -> Any:
+def rounded(values: Shaped[Array, "*any"] | Iterable[float] | float, decimals: int | None = None) -> Any:
     """Return a number, or numbers as lists, to some decimals."""
     numbers = np.asarray(values, np.float64)
     return (numbers if decimals is None else np.round(numbers, decimals)).tolist()
@@ -175,7 +175,7 @@ def _chain(points: PlanePoints, order: list[int]) -> list[int]:
     return chain
 
 
-def _turn(one: np.ndarray, two: np.ndarray, three: np.ndarray) -> float:
+def _turn(one: Array, two: Array, three: Array) -> float:
     """Return a number above 0 where the way from one to two turns left towards three."""
     (a, b), (c, d) = two - one, three - one
     return float(a * d - b * c)

@@ -3,10 +3,10 @@
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
+from ..base.contents import AnyPath
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
 from ..field.labels import LabelFile
@@ -48,7 +48,7 @@ class SceneFiles:
     encoder: str | None = None
 
 
-def find_scene(folder: str | PathLike[str]) -> SceneFiles:
+def find_scene(folder: AnyPath) -> SceneFiles:
     """Find the files of a folder that `drsplat demo` or `drsplat scan` wrote: one *.field, a scene, perhaps a capture.
 
     Raises: InputError: no such folder, not exactly one field, no scene. FormatError: a damaged record of a scan.
@@ -99,9 +99,7 @@ def _is_folder_of_a_scene(path: Path) -> bool:
     return next(path.glob("*[0-9].[pP][lL][yY]"), None) is not None and is_sequence(path)
 
 
-def scene_files(
-    path: str | PathLike[str], scene: str | PathLike[str] | None = None, views: str | PathLike[str] | None = None
-) -> SceneFiles:
+def scene_files(path: AnyPath, scene: AnyPath | None = None, views: AnyPath | None = None) -> SceneFiles:
     """Find the files of a field or of a folder with one; a given scene or views replace what lies there.
 
     Raises: as `find_scene`.
@@ -115,19 +113,19 @@ def scene_files(
 
 
 def open_scene(
-    path: str | PathLike[str] | SceneFiles,
+    path: AnyPath | SceneFiles,
     *,
-    scene: str | PathLike[str] | None = None,
-    views: str | PathLike[str] | None = None,
+    scene: AnyPath | None = None,
+    views: AnyPath | None = None,
     encoder: str | None = None,
     vocabulary: str | None = None,
     device: str = "auto",
     search_device: str = "cpu",
     threads: int = 0,
-    images: str | PathLike[str] | None = None,
-    dataparser_transforms: str | PathLike[str] | None = None,
+    images: AnyPath | None = None,
+    dataparser_transforms: AnyPath | None = None,
     max_side: int | None = None,
-    times: str | PathLike[str] | None = None,
+    times: AnyPath | None = None,
     load: Load | None = None,
 ) -> Scene:
     """Open a folder with a field, its scene and photos, or a field (NAME.field) alone.

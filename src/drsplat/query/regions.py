@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Indices, Vector3
+from ..base.arrays import Array, Indices, Vector3
 from ..errors import InputError
 from ..kernels.algebra import dense_rows
 from .defaults import MIN_GAUSSIANS
@@ -69,7 +69,7 @@ def _within(scene: Scene, at: Vector3, radius: float) -> Indices:
     return np.sort(np.concatenate(rows))
 
 
-def _named(name: str, mine: np.ndarray, scores: np.ndarray, means: np.ndarray) -> InRegion:
+def _named(name: str, mine: Array, scores: Array, means: Array) -> InRegion:
     count = int(mine.sum())
     center = np.median(means[mine], axis=0)
     return InRegion(name, count, count / len(mine), float(scores[mine].mean()), center)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Doubles, Float64, Integer, Vector3
+from ..base.arrays import Array, Doubles, Float64, Integer, Vector3
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.parted import AnyGaussians
@@ -211,7 +211,7 @@ def stands_on(gaussians: AnyGaussians, thing: Match, support: Match, up: Vector3
     return rests_on(gaussians, thing.gaussian_ids, support.gaussian_ids, up, inside)
 
 
-def is_over(above: Float64[np.ndarray, "m 3"], below: Float64[np.ndarray, "n 3"], up: Vector3) -> bool:
+def is_over(above: Float64[Array, "m 3"], below: Float64[Array, "n 3"], up: Vector3) -> bool:
     """Return True if the middle of some points is over others, seen from above: within a twentieth of their size."""
     flat = np.eye(3) - np.outer(up, up)
     size = float(np.linalg.norm(np.ptp(below @ flat, axis=0)))
@@ -219,7 +219,7 @@ def is_over(above: Float64[np.ndarray, "m 3"], below: Float64[np.ndarray, "n 3"]
     return bool(distance <= MAX_OVERHANG_SHARE * size)
 
 
-def solid_centers(gaussians: AnyGaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
+def solid_centers(gaussians: AnyGaussians, thing: Match) -> Float64[Array, "n 3"]:
     """Return the centres of what can be seen of a thing."""
     return gaussians.shapes_of(solid(gaussians, thing.gaussian_ids)).positions
 

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from ..base.arrays import Float64, Matrix3, RowIds, Vector3, WholeNumbers
+from ..base.arrays import Array, Float64, Matrix3, RowIds, Vector3, WholeNumbers
 from ..errors import InputError
 from .parted import AnyGaussians
 from .views import View
@@ -39,12 +39,12 @@ def upward(views: Sequence[View]) -> Vector3:
     return upward_of(camera_axes(views))
 
 
-def camera_axes(views: Sequence[View]) -> Float64[np.ndarray, "v 2 3"]:
+def camera_axes(views: Sequence[View]) -> Float64[Array, "v 2 3"]:
     """Return the right and down axes of each camera, in the world; `upward` needs nothing else."""
     return np.array([view.cam_from_world[:2, :3] for view in views], np.float64).reshape(-1, 2, 3)
 
 
-def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Vector3:
+def upward_of(axes: Float64[Array, "v 2 3"]) -> Vector3:
     """Return the upward direction from `camera_axes`; see `upward`. Raises: InputError: as `upward`."""
     if not len(axes):
         raise InputError("which way is up is told by the photos, and this scene has none")
@@ -70,5 +70,5 @@ def up_of(views: Sequence[View]) -> Vector3 | None:
 
 def solid(gaussians: AnyGaussians, ids: RowIds) -> WholeNumbers:
     """Return the ids of the Gaussians opaque enough to be seen; all ids if none is."""
-    visible: np.ndarray = ids[gaussians.opacities_of(ids) >= HAZE_OPACITY]
+    visible: Array = ids[gaussians.opacities_of(ids) >= HAZE_OPACITY]
     return visible if len(visible) else ids

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base.arrays import Flags, Float64, Harmonics, Points
+from ..base.arrays import Array, Flags, Float64, Harmonics, Points
 from .gaussians import SH_C0, Gaussians
 from .similarity import sh_basis
 
@@ -45,7 +45,7 @@ def _directions(count: int) -> Points:
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
-def _fitted(sh: Float64[np.ndarray, "n k 3"], basis: Float64[np.ndarray, "d k"]) -> Harmonics:
+def _fitted(sh: Float64[Array, "n k 3"], basis: Float64[Array, "d k"]) -> Harmonics:
     """Fit harmonics of limited constants to the clamped colours of `sh`, by projected steps that never fit worse."""
     wanted = np.clip(0.5 + basis @ sh, 0, 1)
     fitted, inverse = _within(sh.copy()), np.linalg.pinv(basis)
@@ -54,6 +54,6 @@ def _fitted(sh: Float64[np.ndarray, "n k 3"], basis: Float64[np.ndarray, "d k"])
     return fitted.astype(np.float32)
 
 
-def _within(sh: Float64[np.ndarray, "n k 3"]) -> Float64[np.ndarray, "n k 3"]:
+def _within(sh: Float64[Array, "n k 3"]) -> Float64[Array, "n k 3"]:
     sh[:, 0] = np.clip(sh[:, 0], -MAX_ABS_CONSTANT, MAX_ABS_CONSTANT)
     return sh

@@ -19,6 +19,7 @@ import numpy as np
 from ..base.arrays import (
     AnyPoints,
     Anywhere,
+    Array,
     ArraysByName,
     Bool,
     Doubles,
@@ -61,7 +62,7 @@ def middle_of(positions: AnyPoints) -> Vector3:
     return np.asarray(np.median(positions.astype(np.float64), axis=0))
 
 
-def near_plane(means: AnyPoints, opacities: Float[np.ndarray, " n"] | None = None) -> float:
+def near_plane(means: AnyPoints, opacities: Float[Array, " n"] | None = None) -> float:
     """Return the camera z, in scene units, up to which Gaussians are not drawn.
 
     It is the published 0.2 for a scene four units large or more (the diagonal of the box about the middle nine tenths
@@ -95,13 +96,13 @@ def local_origin(positions: AnyPoints) -> Vector3:
     return np.where(loses | (steps == 0), 0.0, steps * step)
 
 
-def _fits_float32(positions: Points) -> Bool[np.ndarray, " 3"]:
+def _fits_float32(positions: Points) -> Bool[Array, " 3"]:
     """Return for each axis whether float32 holds all coordinates exactly."""
     with np.errstate(over="ignore"):
         return (positions.astype(np.float32) == positions).all(0)
 
 
-def rounding(coordinates: Float[np.ndarray, "..."]) -> float:
+def rounding(coordinates: Float[Array, "..."]) -> float:
     """Return the error, in scene units, that float32 may have at the largest of some coordinates."""
     return float(np.spacing(np.float32(np.abs(coordinates).max(initial=0.0))) / 2)
 
@@ -214,7 +215,7 @@ class Gaussians:
     def _local_origin(self) -> Vector3:
         return local_origin(self.means) if len(self) >= MIN_SIZED_GAUSSIANS else np.zeros(3)
 
-    def covariances(self) -> Float64[np.ndarray, "n 6"]:
+    def covariances(self) -> Float64[Array, "n 6"]:
         """Return the upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
         return covariances_of(self.quats, self.scales).T
 
@@ -259,7 +260,7 @@ class Part(NamedTuple):
     gaussians: Gaussians
 
 
-def covariances_of(quats: Quats, scales: Vectors) -> Float64[np.ndarray, "6 n"]:
+def covariances_of(quats: Quats, scales: Vectors) -> Float64[Array, "6 n"]:
     """Compute `Gaussians.covariances` one component at a time, so that a block stays in the processor's cache."""
     turned = rotation_rows(quats.T.astype(np.float64, order="C"))
     lengths = scales.T.astype(np.float64, order="C")
@@ -270,7 +271,7 @@ def covariances_of(quats: Quats, scales: Vectors) -> Float64[np.ndarray, "6 n"]:
     return covariances
 
 
-def flat(widths: Float32[np.ndarray, "n 2"]) -> Vectors:
+def flat(widths: Float32[Array, "n 2"]) -> Vectors:
     """Return the standard deviations of surfels from those along their two axes."""
     return np.column_stack([widths, np.full(len(widths), SURFEL_THICKNESS)])
 
@@ -334,12 +335,12 @@ def drawing_mark(antialiased: bool) -> bytes:
     return b"antialiased" if antialiased else b""
 
 
-def filled(sh: Harmonics, coefficients: int) -> Float32[np.ndarray, "n c 3"]:
+def filled(sh: Harmonics, coefficients: int) -> Float32[Array, "n c 3"]:
     """Pad harmonics with zeros up to a number of coefficients."""
     return np.pad(sh, ((0, 0), (0, coefficients - sh.shape[1]), (0, 0)))
 
 
-def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
+def rotation_matrices(quats: Float[Array, "n 4"]) -> Float[Array, "n 3 3"]:
     """Return the matrices from local axes (their columns) to the world, in the precision of the input."""
     return np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
 

@@ -9,7 +9,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.arrays import DoubleRows, Doubles, Float64, FloatRows, Indices, Int, Matrices, OtherIndices, Quats, Vectors
+from ..base.arrays import (
+    Array,
+    DoubleRows,
+    Doubles,
+    Float64,
+    FloatRows,
+    Indices,
+    Int,
+    Matrices,
+    OtherIndices,
+    Quats,
+    Vectors,
+)
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 
@@ -28,7 +40,7 @@ class Level:
     group_of: Indices
 
 
-def coarser(gaussians: Gaussians, count: int, within: Int[np.ndarray, " n"] | None = None) -> Level:
+def coarser(gaussians: Gaussians, count: int, within: Int[Array, " n"] | None = None) -> Level:
     """Merge neighbours until at most `count` Gaussians are left, or none that may be merged.
 
     Rows of the result are in the order of the first row of each group, and further columns are those of its heaviest
@@ -122,11 +134,11 @@ class _Sums:
         self.heaviest = self._order[self._starts]
         self._weights = masses[self._order] / np.bincount(group_of, masses)[group_of[self._order]]
 
-    def mean(self, values: DoubleRows | FloatRows) -> Float64[np.ndarray, "g k"]:
+    def mean(self, values: DoubleRows | FloatRows) -> Float64[Array, "g k"]:
         return np.asarray(np.add.reduceat(values[self._order] * self._weights[:, None], self._starts, axis=0))
 
 
-def shapes_of(covariances: Float64[np.ndarray, "n 6"]) -> tuple[Quats, Vectors]:
+def shapes_of(covariances: Float64[Array, "n 6"]) -> tuple[Quats, Vectors]:
     """Return rotations (w, x, y, z) and standard deviations of covariances, given as upper triangles."""
     matrices = np.empty((len(covariances), 3, 3))
     for at, (i, j) in enumerate(_UPPER):

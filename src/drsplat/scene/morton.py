@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..base.arrays import AnyPoints, Indices, UInt64
+from ..base.arrays import AnyPoints, Array, Indices, UInt64
 
 BITS_PER_AXIS = 21  # three times 21 fill 63
 _SPREAD = (  # shift, mask: each bit of 21 to every third place
@@ -19,7 +19,7 @@ def morton_order(positions: AnyPoints, bits: int = BITS_PER_AXIS) -> Indices:
     return np.argsort(morton_codes(positions, bits), kind="stable")
 
 
-def morton_codes(positions: AnyPoints, bits: int = BITS_PER_AXIS) -> UInt64[np.ndarray, " n"]:
+def morton_codes(positions: AnyPoints, bits: int = BITS_PER_AXIS) -> UInt64[Array, " n"]:
     """Return each position's cell number along the curve; the box has 2^bits cells along its longest side."""
     low = positions.min(0, initial=np.inf)
     side = float((positions.max(0, initial=-np.inf) - low).max(initial=0.0))
@@ -31,7 +31,7 @@ def morton_codes(positions: AnyPoints, bits: int = BITS_PER_AXIS) -> UInt64[np.n
     return codes
 
 
-def _spread(cells: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
+def _spread(cells: UInt64[Array, " n"]) -> UInt64[Array, " n"]:
     for shift, mask in _SPREAD:
         cells = (cells | cells << np.uint64(shift)) & np.uint64(mask)
     return cells

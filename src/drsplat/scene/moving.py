@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Doubles, Float32, Vector3
+from ..base.arrays import Array, Doubles, Float32, Vector3
 from ..errors import InputError
 from .gaussians import Gaussians
 
@@ -143,8 +143,6 @@ def counted_from(gaussians: Gaussians, origin: Vector3) -> Gaussians:
     return replace(gaussians, means=(gaussians.positions - origin).astype(np.float32), origin=origin)
 
 
-def _linear(
-    start: Float32[np.ndarray, "*n"], end: Float32[np.ndarray, "*n"], share: float
-) -> Float32[np.ndarray, "*n"]:
+def _linear(start: Float32[Array, "*n"], end: Float32[Array, "*n"], share: float) -> Float32[Array, "*n"]:
     wide = start.astype(np.float64)
     return np.asarray(wide + (end - wide) * share, np.float32)

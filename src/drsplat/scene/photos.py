@@ -19,7 +19,7 @@ from PIL.BmpImagePlugin import BmpImageFile
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 
-from ..base.arrays import Bool, Colors, Float64, Mask, MaskIds, Pixels, PlanePoints
+from ..base.arrays import Array, Bool, Colors, Float64, Mask, MaskIds, Pixels, PlanePoints
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, placed
 from .lens import Points, distort_points, undistort_points
@@ -220,11 +220,11 @@ def _bilinear(photo: Pixels, at: PlanePoints) -> Colors:
     flat = photo.reshape(-1, 3)
     top = flat[index] * (1 - fx) + flat[index + right] * fx
     bottom = flat[index + below] * (1 - fx) + flat[index + below + right] * fx
-    blended: np.ndarray = top * (1 - fy) + bottom * fy + 0.5
+    blended: Array = top * (1 - fy) + bottom * fy + 0.5
     return blended.astype(np.uint8)
 
 
-def _source_blocks(view: View, way: Way = distort_points) -> Iterator[tuple[slice, Float64[np.ndarray, "r w 2"]]]:
+def _source_blocks(view: View, way: Way = distort_points) -> Iterator[tuple[slice, Float64[Array, "r w 2"]]]:
     """Yield blocks of rows of the pinhole, or of the photo, with the place of their pixel centres on the other."""
     columns = np.arange(view.width) + 0.5
     for start in range(0, view.height, _BLOCK_ROWS):
@@ -233,7 +233,7 @@ def _source_blocks(view: View, way: Way = distort_points) -> Iterator[tuple[slic
         yield slice(start, stop), way(view, np.stack([x, y], -1))
 
 
-def _inside(points: Float64[np.ndarray, "r w 2"], width: int, height: int) -> Bool[np.ndarray, "r w"]:
+def _inside(points: Float64[Array, "r w 2"], width: int, height: int) -> Bool[Array, "r w"]:
     """Return which points lie on the photo; NaN does not."""
     x, y = points[..., 0], points[..., 1]
     return (x >= 0) & (x < width) & (y >= 0) & (y < height)

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Harmonics, Matrix3, Matrix4, Points, Quats, Vector3
+from ..base.arrays import Array, Float32, Float64, Harmonics, Matrix3, Matrix4, Points, Quats, Vector3
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians, local_origin
 
@@ -50,7 +50,7 @@ class Similarity:
         return result
 
     @cached_property
-    def _by_degree(self) -> list[Float32[np.ndarray, "k k"]]:
+    def _by_degree(self) -> list[Float32[Array, "k k"]]:
         """Matrix of coefficients for each degree 1 to 3: rotations mix only harmonics of one degree."""
         directions = np.random.default_rng(0).normal(size=(NUM_DIRECTIONS, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -89,7 +89,7 @@ def turned(quats: Quats, rotation: Matrix3) -> Quats:
     return np.asarray(product / np.linalg.norm(product, axis=1, keepdims=True), np.float32)
 
 
-def quaternion_of(rotation: Matrix3) -> Float64[np.ndarray, " 4"]:
+def quaternion_of(rotation: Matrix3) -> Float64[Array, " 4"]:
     """Return (w, x, y, z), w >= 0: the eigenvector of Bar-Itzhack's matrix (2000), stable at any angle."""
     m = rotation
     k = np.array(
@@ -100,11 +100,11 @@ def quaternion_of(rotation: Matrix3) -> Float64[np.ndarray, " 4"]:
             [m[1, 0] - m[0, 1], m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1]],
         ]
     )
-    vector: np.ndarray = np.linalg.eigh(k)[1][:, -1]
+    vector: Array = np.linalg.eigh(k)[1][:, -1]
     return -vector if vector[0] < 0 else vector
 
 
-def sh_basis(directions: Points) -> Float64[np.ndarray, "n 16"]:
+def sh_basis(directions: Points) -> Float64[Array, "n 16"]:
     """Evaluate the real spherical harmonics of degrees 0 to 3, in order and sign of 3DGS files."""
     x, y, z = directions.T
     xx, yy, zz = x * x, y * y, z * z

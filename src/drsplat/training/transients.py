@@ -14,20 +14,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
 from scipy import ndimage
 
 from ..base.arrays import Float64, Mask
 from ..drawing.rendering import render
-from ..errors import InputError
-from ..formats.mask_files import SUFFIX
-from ..formats.replacing import replacing
+from ..formats.mask_files import SUFFIX, write_mask
 from ..kernels import render_channels, splat_arrays, topk_contributions
 from ..photos.models.outlines import region_tree
 from ..scene.gaussians import Gaussians
 from ..scene.masks.region_tree import RegionTree
-from ..scene.photo_masks import MIN_WHITE, load_mask
-from ..scene.photos import distort_ids, load_image, photo_coverage, photo_size
+from ..scene.photo_masks import load_mask
+from ..scene.photos import distort_ids, load_image, photo_coverage
 from ..scene.views import View
 
 SIDE_PIXELS = 252  # at which photos are compared
@@ -79,7 +76,10 @@ def without_transients(
     found = []
     for number, view in enumerate([*views, *held_out]):
         moving = jury.judged(view, is_heard=number < len(views))
-        found.append(_masked(view, moving, folder) if moving.any() else view)
+        if moving.any():
+            moving = distort_ids(view.limited(SIDE_PIXELS), moving.astype(np.int32)) == 1
+            view = write_mask(view, moving, folder)
+        found.append(view)
     return found
 
 
@@ -172,23 +172,6 @@ def _pattern(colors: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w 3
 def _correlation(one: Float64[np.ndarray, "n 3"], other: Float64[np.ndarray, "n 3"]) -> float:
     one, other = one - one.mean(axis=0), other - other.mean(axis=0)
     return float((one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum() + 1e-12))
-
-
-def _masked(view: View, moving: Mask, folder: Path) -> View:
-    """Write the mask of a view on its photo's raster, and return the view with it."""
-    if view.image_path is None:
-        raise InputError(f"view '{view.name}' has no photo")
-    size = photo_size(view.image_path)
-    left_out = distort_ids(view.limited(SIDE_PIXELS), moving.astype(np.int32)) == 1
-    kept = Image.fromarray(np.where(left_out, 0, _WHITE).astype(np.uint8)).resize(size, Image.Resampling.BILINEAR)
-    white = np.asarray(kept) >= MIN_WHITE
-    before = load_mask(replace(view, distortion=None).resized(*size))
-    white = white if before is None else white & before
-    path = folder / f"{view.name}{SUFFIX}"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path, overwrite=True) as file:
-        Image.fromarray(white).save(file, format="PNG")
-    return replace(view, mask_path=path, mask_inverted=False)
 
 
 def _pinhole(view: View) -> View:

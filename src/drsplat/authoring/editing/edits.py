@@ -4,7 +4,6 @@ It is read strictly: it may be a stranger's.
 """
 
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, replace
@@ -13,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ...base.contents import AnyPath
 from ...errors import DrSplatError, FormatError, InputError, MismatchError
 from ...formats.json_files import as_count, as_matrix, as_number, as_vector, excerpt, read_json, runs_of, spans_of_runs
 from ...formats.replacing import claimed_output, replacing
@@ -152,7 +152,7 @@ class EditFile:
     path: Path
 
     @classmethod
-    def beside(cls, scene: str | os.PathLike[str]) -> "EditFile":
+    def beside(cls, scene: AnyPath) -> "EditFile":
         """Return the file of a scene's edits: NAME.edits.json beside NAME.ply or the folder NAME."""
         return cls(companion(scene, "edits"))
 

@@ -9,6 +9,7 @@ from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ...base.arrays import (
+    Array,
     Doubles,
     Flags,
     Float64,
@@ -75,7 +76,7 @@ class Surface:
         off = np.abs(colors - middle[cells[:, 0], cells[:, 1]]).max(1)
         return plain & (off <= _limit(off))
 
-    def seam(self, missing: Cells, shift: Int64[np.ndarray, " 2"]) -> float:
+    def seam(self, missing: Cells, shift: Int64[Array, " 2"]) -> float:
         """Return how far the colours that a shift brings are from those around a hole; infinite where few are known."""
         ring = np.argwhere(ndimage.binary_dilation(missing, iterations=SEAM_CELLS) & ~missing & self.known)
         ring, there = _within(ring, shift, missing.shape)
@@ -98,7 +99,7 @@ class PlaneGrid:
     """Cells of a plane. low: the corner of the first. step: their side, in scene units."""
 
     plane: Plane
-    low: Float64[np.ndarray, " 2"]
+    low: Float64[Array, " 2"]
     step: float
     shape: tuple[int, int]
 
@@ -143,11 +144,11 @@ class PlaneGrid:
         closed: Cells = ndimage.binary_closing(near, iterations=3) | near
         return np.asarray(ndimage.binary_fill_holes(closed))
 
-    def coverage(self, gaussians: Gaussians) -> Float64[np.ndarray, "h w"]:
+    def coverage(self, gaussians: Gaussians) -> Float64[Array, "h w"]:
         """Return the opacity of all Gaussians together in each cell, as a camera far away sees the plane."""
         return np.asarray(self._drawn(gaussians).alpha, np.float64)
 
-    def colors(self, gaussians: Gaussians) -> Float64[np.ndarray, "h w 3"]:
+    def colors(self, gaussians: Gaussians) -> Float64[Array, "h w 3"]:
         """Return the colour of each cell from where the object was, without the harmonics above the constant."""
         plane = self.plane
         behind = plane.normal @ np.cross(plane.axes[1], plane.axes[0]) > 0  # as `_drawn` looks: then mirrored
@@ -261,7 +262,7 @@ class Ground:
         return self.rows[own]
 
     @cached_property
-    def own_coverage(self) -> Float64[np.ndarray, "h w"]:
+    def own_coverage(self) -> Float64[Array, "h w"]:
         return self.grid.coverage(self.scene.subset(self.own))
 
     @property
@@ -365,9 +366,7 @@ def best_shift(missing: Cells, good: Cells, surface: Surface) -> tuple[tuple[int
     return (int(shifts[best][0]), int(shifts[best][1])), closed
 
 
-def _within(
-    cells: Shifts, shift: Int64[np.ndarray, " 2"] | tuple[int, int], shape: tuple[int, ...]
-) -> tuple[Spans, Spans]:
+def _within(cells: Shifts, shift: Int64[Array, " 2"] | tuple[int, int], shape: tuple[int, ...]) -> tuple[Spans, Spans]:
     """Return the cells whose shifted ones are on the grid, and these."""
     there = cells + shift
     inside = ((there >= 0) & (there < np.array(shape))).all(1)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ...base.arrays import Indices, Matrix4, RowIds, Spans, Vector3
+from ...base.contents import AnyPath
 from ...errors import InputError, MismatchError, warn
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from ...formats.scenes import read_gaussians
@@ -116,7 +117,7 @@ def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector3 | None) -> Sc
 
 
 def replaced_by(
-    part: Gaussians, up: Vector3, other: str | os.PathLike[str], number: int | None, folder: Path
+    part: Gaussians, up: Vector3, other: AnyPath, number: int | None, folder: Path
 ) -> Replace:  # fmt: skip
     """Replace `part` by another scene, or by an object of the field in a folder. folder: where edits are kept.
 

@@ -7,7 +7,6 @@ import json
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
-from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 from warnings import warn
@@ -16,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from ...base.arrays import Ids, MaskIds
+from ...base.contents import AnyPath
 from ...drawing.heat import class_colors
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
@@ -54,9 +54,7 @@ class Masked(NamedTuple):
     num_shown: int
 
 
-def write_masks(
-    folder: str | PathLike[str], scene: Scene, query: Query | str | None = None, *, overwrite: bool = False
-) -> Masked:
+def write_masks(folder: AnyPath, scene: Scene, query: Query | str | None = None, *, overwrite: bool = False) -> Masked:
     """Write a mask of each photo, NAME.jpg.png, on the photo as it is stored; Gaussians in front hide others.
 
     Args:
@@ -104,7 +102,7 @@ def _objects(scene: Scene) -> tuple[dict[int, str], Ids]:
 
 
 def draw_features(
-    folder: str | PathLike[str], scene: Scene, views: Sequence[View], *, whole: bool = False,
+    folder: AnyPath, scene: Scene, views: Sequence[View], *, whole: bool = False,
     overwrite: bool = False, track: Track = untracked,
 ) -> FeatureFolder:  # fmt: skip
     """Draw all objects into photos, as masks that `embed` and `register` read: the same number in every photo.

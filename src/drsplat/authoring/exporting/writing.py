@@ -5,13 +5,13 @@ A format of other programs may not hold all of it; what it could not is told.
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from os import PathLike
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from ...base.arrays import Arrays, Flags
+from ...base.contents import AnyPath
 from ...base.system import folder_bytes
 from ...errors import InputError
 from ...formats.annotations import AnnotationFile
@@ -268,7 +268,7 @@ class Exported(NamedTuple):
 
 
 def export(
-    path: str | PathLike[str],
+    path: AnyPath,
     scene: Scene | Gaussians | Moving | LabelledScene,
     query: Query | str | None = None,
     *,

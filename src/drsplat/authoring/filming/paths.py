@@ -7,14 +7,14 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ...base.arrays import Doubles, Matrix3, OtherDoubles, Points, Vector3
+from ...base.arrays import Array, Doubles, Matrix3, OtherDoubles, Points, Vector3
+from ...base.contents import AnyPath
 from ...errors import FormatError, InputError
 from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_json
 from ...formats.poses import MAX_COORDINATE, nearest_rotation
@@ -234,7 +234,7 @@ _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])
 Entry = Mapping[str, object]
 
 
-def read_path(path: str | PathLike[str]) -> CameraPath:
+def read_path(path: AnyPath) -> CameraPath:
     """Read key frames of ours, or nerfstudio's camera_path.json, in the frame of the scene.
 
     Of nerfstudio its pictures are the key frames (`camera_path`: camera_to_world in OpenGL axes, fov in degrees from
@@ -255,7 +255,7 @@ def path_of(document: object, where: str) -> CameraPath:
     raise FormatError(f'{where}: expected a path: an object with "key_frames", or with nerfstudio\'s "camera_path"')
 
 
-def write_path(path: str | PathLike[str], camera_path: CameraPath, overwrite: bool = False) -> None:
+def write_path(path: AnyPath, camera_path: CameraPath, overwrite: bool = False) -> None:
     """Write key frames as JSON that people can read. Raises: InputError: the file exists and not `overwrite`."""
     with replacing(path, overwrite) as file:
         file.write(path_json(camera_path).encode())
@@ -369,11 +369,11 @@ def _entries(document: Entry, name: str, where: str) -> list[object]:
     return entries
 
 
-def _place(value: object, where: str) -> np.ndarray:
+def _place(value: object, where: str) -> Array:
     return _near(as_vector(value, 3, where), where)
 
 
-def _near(place: np.ndarray, where: str) -> np.ndarray:
+def _near(place: Array, where: str) -> Array:
     if not np.abs(place).max() <= MAX_COORDINATE:
         raise FormatError(f"{where}: beyond {MAX_COORDINATE:g}")
     return place

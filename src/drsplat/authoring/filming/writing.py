@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from itertools import chain
-from os import PathLike
 from pathlib import Path
 from typing import IO, BinaryIO
 
@@ -18,6 +17,7 @@ import numpy as np
 from PIL import GifImagePlugin, Image
 
 from ...base.arrays import OtherPixels
+from ...base.contents import AnyPath
 from ...base.terminal import plain
 from ...errors import InputError, MissingExtraError
 from ...formats.replacing import refuse_missing_parent, replacing
@@ -135,7 +135,7 @@ BITSTREAMS = (b"VP8 ", b"VP8L")
 NO_BLENDING_FLAG = 0x02  # in ANMF: a frame replaces the one before
 
 
-def write_film(path: str | PathLike[str], pictures: Iterable[OtherPixels], fps: float, overwrite: bool = False) -> None:
+def write_film(path: AnyPath, pictures: Iterable[OtherPixels], fps: float, overwrite: bool = False) -> None:
     """Write pictures of one size, so many a second, as what the name ends in: .mp4, .webm, .webp or .gif.
 
     Raises: InputError: as `check_film`; no picture; pictures of different sizes; ffmpeg fails. MissingExtraError:
@@ -154,7 +154,7 @@ def write_film(path: str | PathLike[str], pictures: Iterable[OtherPixels], fps: 
             PLAIN[path.suffix.lower()](file, alike, fps)
 
 
-def check_film(path: str | PathLike[str], size: tuple[int, int], fps: float) -> None:
+def check_film(path: AnyPath, size: tuple[int, int], fps: float) -> None:
     """Check all that can be known to be wrong before the first picture. size: width and height.
 
     Raises: InputError: another suffix, a size that the suffix cannot have, as `check_fps`, no folder.

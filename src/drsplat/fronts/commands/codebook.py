@@ -12,8 +12,7 @@ from .embed import DEFAULT_ENCODER, ENCODER_HELP, image_encoder, models_device
 from .options import COMPLETE, Verb, new_or_complete, overwrite, parts_of, was_complete
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from ...base.arrays import Array
     from ...field.codes import Codebook
     from ...scene.encoders import EncoderIdentity
 
@@ -122,7 +121,7 @@ def show(answer: Facts) -> None:
     show_facts(f"trained: {answer['codebook']}{COMPLETE if answer['was_complete'] else ''}", facts)
 
 
-def _embedded(options: Options, parts: Path) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+def _embedded(options: Options, parts: Path) -> tuple[Array, EncoderIdentity, dict[str, int]]:
     from ...formats.lvis import read_annotations
     from ...photos.embedding.patches import embed_patches, find_patches
 
@@ -140,7 +139,7 @@ def _embedded(options: Options, parts: Path) -> tuple[np.ndarray, EncoderIdentit
     return embedded.embeddings, encoder.identity, facts
 
 
-def _training_rows(path: str, encoder: str | None) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+def _training_rows(path: str, encoder: str | None) -> tuple[Array, EncoderIdentity, dict[str, int]]:
     from ... import EncoderIdentity
     from ...formats.npy import map_npy
 
@@ -153,7 +152,7 @@ def _training_rows(path: str, encoder: str | None) -> tuple[np.ndarray, EncoderI
     return rows, identity, {"num_embeddings": len(rows)}
 
 
-def _trained(rows: np.ndarray, encoder: EncoderIdentity, options: Options) -> tuple[Codebook, np.ndarray]:
+def _trained(rows: Array, encoder: EncoderIdentity, options: Options) -> tuple[Codebook, Array]:
     """Return the codebook, and the cosine of each held-out row with its decoded code."""
     import numpy as np
 

@@ -19,12 +19,11 @@ from .query_options import asked, check_outputs, open_with, query_of, query_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    import numpy as np
-
     from ...authoring.editing import EditFile, EditList
     from ...authoring.editing.draft import Draft
     from ...authoring.editing.edits import Change, KeptEdits
     from ...authoring.editing.targets import Target
+    from ...base.arrays import Array
     from ...formats.annotations import AnnotationFile
     from ...query import Scene
     from ...scene.gaussians import Gaussians
@@ -330,7 +329,7 @@ class _Work:
         return replaced_by(part, self._needed_up, value, change.with_object, self.file.path.parent)
 
     @property
-    def _up(self) -> np.ndarray | None:
+    def _up(self) -> Array | None:
         from ...authoring.filming.looking import named_up
 
         if self.options.change.up:
@@ -338,7 +337,7 @@ class _Work:
         return None if self.posed is None else self.posed.up
 
     @property
-    def _needed_up(self) -> np.ndarray:
+    def _needed_up(self) -> Array:
         """Raises: InputError: nothing tells."""
 
         if self._up is None:
@@ -401,7 +400,7 @@ class _Work:
         return view
 
 
-def _row_numbers(array: np.ndarray, path: str) -> np.ndarray:
+def _row_numbers(array: Array, path: str) -> Array:
     import numpy as np
 
     if array.ndim != 1 or array.dtype.kind not in "iu" or not len(array):

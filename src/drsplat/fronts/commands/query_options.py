@@ -17,8 +17,7 @@ from .edit_options import note_own_scene
 from .options import Encoders, Photos, new_output, overwrite, search_device
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from ...base.arrays import Array
     from ...query import Answer, Cut, Query, Scene
     from ...query.schema import Kind
     from ...scene.views import View
@@ -88,14 +87,14 @@ def numbers(option: str, text: str, count: int) -> list[float]:
     return given
 
 
-def negatives(text: str) -> tuple[str, ...] | np.ndarray:
+def negatives(text: str) -> tuple[str, ...] | Array:
     """Return words with commas between them, or the vectors of a .npy file."""
     if text.endswith(".npy"):
         return read_vectors(text)
     return tuple(word.strip() for word in text.split(","))
 
 
-def read_picture(path: str) -> np.ndarray:
+def read_picture(path: str) -> Array:
     """Read the RGB of a picture file, upright, on black where it is transparent.
 
     Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
@@ -110,7 +109,7 @@ def read_picture(path: str) -> np.ndarray:
         raise FormatError(placed(path, error)) from error
 
 
-def read_vector(path: str) -> np.ndarray:
+def read_vector(path: str) -> Array:
     """Read one vector of a .npy file, (D,) or (1, D).
 
     Raises: InputError: there is no such file, or it holds more than one. FormatError: damaged.
@@ -122,7 +121,7 @@ def read_vector(path: str) -> np.ndarray:
     return vectors[0]
 
 
-def read_vectors(path: str) -> np.ndarray:
+def read_vectors(path: str) -> Array:
     """Read the vectors of a .npy file, (n, D) or (D,), as float32.
 
     Raises: InputError: there is no such file. FormatError: damaged, not numbers.
@@ -239,7 +238,7 @@ class Outputs:
             note_own_scene(scene.path, scene.rows if scene.has_gaussians else None)
         return scene
 
-    def chosen_view(self, scene: Scene, ids: np.ndarray) -> View:
+    def chosen_view(self, scene: Scene, ids: Array) -> View:
         """Return the named view, else the one that shows most of the Gaussians at `ids`."""
         return scene.view(self.view) if self.view else scene.best_view(ids)
 
@@ -337,7 +336,7 @@ def print_doubt(answer: Facts) -> None:
         print(f"left and right are those of the photo {answer['seen_from']}")
 
 
-def draw(question: Question, outputs: Outputs, scene: Scene, ids: np.ndarray, note: str) -> str:
+def draw(question: Question, outputs: Outputs, scene: Scene, ids: Array, note: str) -> str:
     """Write --picture: the photo, in colour where the Gaussians at `ids` are; returns its name."""
     from ...drawing.pictures import titled, write_picture
 

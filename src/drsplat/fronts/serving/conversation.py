@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from ... import query as engine
+from ...base.contents import Document
 from ...errors import InputError
 from ...query.documents import rounded
 from ...query.objects import object_of, objects_of
@@ -299,7 +300,7 @@ class Conversation:
             f"with describe_region. {missed_text(answer, words_instead(self.scene, answer))}".rstrip()
         )
 
-    def _standing_on(self, on: str | None, matches: list[engine.Match], cut: dict[str, Any]) -> list[engine.Match]:
+    def _standing_on(self, on: str | None, matches: list[engine.Match], cut: Document) -> list[engine.Match]:
         """Return the matches that stand on another text's, wherever that is at any time; all for None."""
         return matches if on is None else standing_on(self.scene, matches, _query_of(on, {**cut, "during": None}))
 
@@ -358,7 +359,7 @@ def _text(text: str) -> str:
     return text
 
 
-def _query_of(text: str, cut: dict[str, Any]) -> engine.Query:
+def _query_of(text: str, cut: Document) -> engine.Query:
     return engine.Query(_text(text), **values_of(cut, of=CUT))
 
 

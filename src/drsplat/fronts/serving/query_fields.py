@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, create_mod
 from pydantic_core import PydanticCustomError
 
 from ... import query as engine
+from ...base.contents import Document
 from ...errors import InputError, did_you_mean
 from ...query.catalogue import Catalogue, Conditions, Entry
 from ...query.defaults import MIN_GAUSSIANS
@@ -57,12 +58,12 @@ class Request(Strict):
         return without_nulls(given, cls.model_fields.keys() - required) if isinstance(given, dict) else given
 
 
-def examples(*given: dict[str, Any]) -> ConfigDict:
+def examples(*given: Document) -> ConfigDict:
     """Return settings of a request whose schema has examples."""
     return ConfigDict(json_schema_extra={"examples": list(given)})
 
 
-def without_nulls(given: Mapping[str, Any], optional: Collection[str]) -> dict[str, Any]:
+def without_nulls(given: Mapping[str, Any], optional: Collection[str]) -> Document:
     """Return what is given, without null for what may be left out."""
     return {name: value for name, value in given.items() if value is not None or name not in optional}
 
@@ -127,7 +128,7 @@ def asking(*places: Place, of: Sequence[QueryField] = FIELDS) -> Callable[[type[
     return extended
 
 
-def values_of(given: Mapping[str, Any], limits: Limits = LIMITS, of: Sequence[QueryField] = FIELDS) -> dict[str, Any]:
+def values_of(given: Mapping[str, Any], limits: Limits = LIMITS, of: Sequence[QueryField] = FIELDS) -> Document:
     """Return what a request gives of some fields, as `Query` takes it. Raises: InputError: no picture, or too large."""
     values = {field: given.get(field.name) for field in of}
     return {
@@ -212,7 +213,7 @@ class Tool(Request):
 
     tool: str
     name: str
-    arguments: dict[str, Any]
+    arguments: Document
 
 
 @asking(Place.HTTP)

@@ -23,6 +23,7 @@ from pydantic import BaseModel
 from ...authoring.editing.resolving import object_rows
 from ...authoring.exporting import labelled
 from ...authoring.exporting.writing import Only, kept_edits, written
+from ...base.contents import Document
 from ...base.system import end_with
 from ...errors import DrSplatError, FormatError, InputError
 from ...formats.gaussian_ply import write_gaussians
@@ -292,9 +293,7 @@ def safe_reply_to(scene_folder: SceneFolder, place: Workplace, **question: Any) 
         return problem(500, BUG, "bug")
 
 
-def reply_to(
-    scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any], adder: Adder
-) -> Reply:
+def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: Document, adder: Adder) -> Reply:
     """Answer an act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, of views or a catalogue."""
     try:
         if act == "list":
@@ -319,7 +318,7 @@ def reply_to(
         return refusal(error, without_paths(str(error), scene_folder.roots))
 
 
-def _answered(opened: Scene, name: str, act: str, asked: dict[str, Any], limits: Limits) -> Reply:
+def _answered(opened: Scene, name: str, act: str, asked: Document, limits: Limits) -> Reply:
     """Answer an act about a scene. Raises: SceneFaultError: a tile, which is read when it is needed, is damaged."""
     try:
         return answered(opened, act, asked, limits)

@@ -4,7 +4,6 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import replace
-from os import PathLike
 
 import numpy as np
 from PIL import Image
@@ -14,11 +13,11 @@ from ...authoring.filming.looking import before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
 from ...base.arrays import OtherPixels, SmallIds, Vector3
+from ...base.contents import AnyPath, Document
 from ...drawing.heat import heat_of
 from ...errors import InputError
 from ...kernels.boxes import box_of
 from ...query import Match, Scene
-from ...query.documents import Document
 from ...query.sheets import object_picture, object_views
 from ...query.suggesting import suggestions
 from ...scene.boxes import solid
@@ -82,7 +81,7 @@ MAX_PICTURES, PICTURE_SIZE_PIXELS, JPEG_QUALITY = 24, (112, 84), 70  # some 3 KB
 
 
 def export_page(
-    path: str | PathLike[str],
+    path: AnyPath,
     scene: Scene,
     queries: Sequence[str],
     *,
@@ -125,7 +124,7 @@ def export_page(
     return page
 
 
-def export_session(path: str | PathLike[str], session: Session, queries: Sequence[str], *, up: Vector3) -> Page:
+def export_session(path: AnyPath, session: Session, queries: Sequence[str], *, up: Vector3) -> Page:
     """Write a page of a session's scene as edited there, with the answers to queries; the session stays as it is.
 
     Raises: as `export_page`.

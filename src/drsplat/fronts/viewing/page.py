@@ -9,7 +9,6 @@ import json
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from ...authoring.filming.looking import FOV_DEGREES
 from ...authoring.filming.paths import CameraPath
 from ...base.arrays import (
+    Array,
     Arrays,
     ArraysByName,
     ByteRows,
@@ -34,12 +34,12 @@ from ...base.arrays import (
     Vector3,
     Vectors,
 )
+from ...base.contents import AnyPath, Document
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
 from ...formats.spz_writing import spz_bytes
 from ...query import Match
-from ...query.documents import Document
 from ...query.tracks import tracks
 from ...scene.gaussians import Gaussians, significance
 from ...scene.moving import Moving
@@ -70,10 +70,10 @@ class PageTimes:
 
     times: Times
     order: RowIds
-    places: UInt16[np.ndarray, "n k 3"]
+    places: UInt16[Array, "n k 3"]
     low: Vector3
     step: Vector3
-    covariances: Float16[np.ndarray, "n k 6"]
+    covariances: Float16[Array, "n k 6"]
     opacities: ByteRows
     seconds: float
     num_known: int
@@ -197,7 +197,7 @@ def arrays_of(times: PageTimes) -> Arrays:
     return {"places": _steps(times.places), "turns": _steps(turns), "fades": _steps(times.opacities)}
 
 
-def _steps(numbers: np.ndarray) -> np.ndarray:
+def _steps(numbers: Array) -> Array:
     """Return differences along time, which begin again where they end."""
     steps = numbers.copy()
     steps[1:] -= numbers[:-1]
@@ -268,7 +268,7 @@ class Page:
     search: PageSearch | None = None
 
 
-def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
+def write_page(path: AnyPath, page: Page, *, overwrite: bool = False) -> None:
     """Write the page. Raises: InputError: more Gaussians than `MAX_GAUSSIANS`; the file exists and not `overwrite`."""
     if len(page.shown) > MAX_GAUSSIANS:
         raise InputError(f"a page holds up to {MAX_GAUSSIANS:,} Gaussians, got {len(page.shown):,}: show fewer of them")
@@ -390,6 +390,6 @@ def _answer(frame: Frame, number: int, answer: PageAnswer) -> Document:
     }  # fmt: skip
 
 
-def as_bytes(values: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
+def as_bytes(values: Shaped[Array, "*any"]) -> UInt8[Array, "*any"]:
     """Return numbers in [0, 1] as bytes."""
     return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -10,7 +10,8 @@ from types import ModuleType
 import numpy as np
 
 from ...authoring.filming import looking
-from ...base.arrays import Embedding, Float32
+from ...base.arrays import Array, Embedding, Float32
+from ...base.contents import Document
 from ...errors import DrSplatError
 from ...field import LanguageField
 from ...kernels import boxes, pq_encode
@@ -30,7 +31,6 @@ from ...query import (
     thresholds,
     wholes,
 )
-from ...query.documents import Document
 from ...query.encoding import list_doubt
 from ...query.naming import ONLY_COLORS_DOUBT, knows_nouns
 from ...query.suggesting import words_of, words_to_offer
@@ -78,8 +78,8 @@ class PageSearch:
     document: the numbers of the rules, and the words that are known. about: says which these are, for people.
     """
 
-    rows: Mapping[str, np.ndarray]
-    tables: Mapping[str, np.ndarray]
+    rows: Mapping[str, Array]
+    tables: Mapping[str, Array]
     document: Document
     about: str
 
@@ -129,7 +129,7 @@ def _numbers(session: Session) -> Document:
     }  # fmt: skip
 
 
-def _cameras(scene: Scene) -> dict[str, np.ndarray]:
+def _cameras(scene: Scene) -> dict[str, Array]:
     """Return the photos' cameras, from which matches are looked at."""
     stands = looking.Standpoints.of(scene.views)._asdict()
     return {f"camera_{name}": numbers.astype(np.float32) for name, numbers in stands.items()}
@@ -199,7 +199,7 @@ def _sums_of_words(encoder: MiniEncoder, background: measuring.Background) -> Pa
     return PageSearch({}, tables, document, about)
 
 
-def _basis(field: LanguageField, rows: np.ndarray, vectors: np.ndarray) -> tuple[Float32[np.ndarray, "d D"], int]:
+def _basis(field: LanguageField, rows: Array, vectors: Array) -> tuple[Float32[Array, "d D"], int]:
     """Return unit directions along which features differ, most first, and how many of them are worth a code.
 
     They are of the space that the words span, where these are few.
@@ -213,14 +213,12 @@ def _basis(field: LanguageField, rows: np.ndarray, vectors: np.ndarray) -> tuple
     return np.ascontiguousarray(basis, np.float32), min(len(basis), int(shares.searchsorted(CODED_SHARE)) + 1)
 
 
-def _spread(rows: np.ndarray) -> np.ndarray:
+def _spread(rows: Array) -> Array:
     """Return some of many rows, evenly spread over them."""
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_TRAINING_ROWS)).astype(np.intp)]
 
 
-def _coded(
-    points: Float32[np.ndarray, "r d"], stages: int, threads: int
-) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+def _coded(points: Float32[Array, "r d"], stages: int, threads: int) -> Iterator[tuple[Array, Array, float]]:
     """Yield stages of residual quantisation: a code per row, 256 centroids in steps from 128 on, and the step.
 
     Source: Chen, Guan & Wang 2010 (residual vector quantisation).
@@ -236,7 +234,7 @@ def _coded(
         yield codes, (steps[0] + 128).astype(np.uint8), step
 
 
-def _places(field: LanguageField, rows: np.ndarray) -> dict[str, np.ndarray]:
+def _places(field: LanguageField, rows: Array) -> dict[str, Array]:
     """Return per shown Gaussian 0 without a feature, 1 if it is loose, n + 2 of thing n; and 0 or its piece."""
     things, pieces = np.ones(len(rows), np.uint32), np.zeros(len(rows), np.uint32)
     if field.objects is not None:

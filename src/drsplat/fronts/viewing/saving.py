@@ -4,7 +4,6 @@ import io
 import os
 import tempfile
 from collections.abc import Callable, Sequence
-from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from PIL import Image
 
 from ...authoring.filming.looking import looking_at, swing
 from ...base.arrays import Pixels, Vector3
+from ...base.contents import AnyPath
 from ...drawing.pictures import as_pixels
 from ...errors import InputError
 from ...formats.gaussian_ply import write_gaussians
@@ -29,7 +29,7 @@ MAX_FILES, MAX_BYTES = 200, 8 << 30  # of a session
 MAX_SENT_BYTES = 64 << 20  # of a file for a browser
 
 
-def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bool = False) -> int:
+def save_scene(path: AnyPath, session: Session, *, selected_only: bool = False) -> int:
     """Write what is not hidden as PLY with `relevancy` and `match_id`, -1 for none; returns how many.
 
     Raises: InputError: the file exists; nothing is selected where `selected_only`.

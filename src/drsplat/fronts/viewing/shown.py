@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Matrix3, Numbers, Shaped, Vector3, Vectors, WholeNumbers
+from ...base.arrays import Array, Float32, Float64, Matrix3, Numbers, Shaped, Vector3, Vectors, WholeNumbers
+from ...base.contents import Document
 from ...errors import InputError
 from ...query import Match, documents
 from ...scene.gaussians import SH_C0, Gaussians, most_significant
@@ -29,10 +30,10 @@ class Frame:
     center: Vector3
     scale: float
 
-    def shown(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+    def shown(self, points: Float64[Array, "*n 3"]) -> Float64[Array, "*n 3"]:
         return self.scale * (points - self.center)
 
-    def world(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+    def world(self, points: Float64[Array, "*n 3"]) -> Float64[Array, "*n 3"]:
         return points / self.scale + self.center
 
 
@@ -46,7 +47,7 @@ class Shown:
 
     ids: WholeNumbers
     centers: Vectors
-    covariances: Float32[np.ndarray, "n 6"]
+    covariances: Float32[Array, "n 6"]
     rgb: Vectors
     opacities: Numbers
     frame: Frame
@@ -89,7 +90,7 @@ def _shown_centers(gaussians: Gaussians, frame: Frame) -> Vectors:
     return np.asarray(np.clip(frame.shown(gaussians.positions), -farthest, farthest), np.float32)
 
 
-def shown_part(part: Gaussians, frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def shown_part(part: Gaussians, frame: Frame) -> tuple[Array, Array, Array, Array]:
     """Return centres, covariances, colours and opacities of a part of a scene in a frame."""
     return _shown_centers(part, frame), _shown_covariances(part, frame), base_colors(part), part.opacities
 
@@ -102,7 +103,7 @@ def moved_shown(shown: Shown, gaussians: Gaussians) -> Shown:
     return replace(shown, centers=centers, covariances=covariances, rgb=base_colors(part), opacities=part.opacities)
 
 
-def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 6"]:
+def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[Array, "m 6"]:
     covariances = np.empty((len(part), 6), np.float32)
     block = 1 << 16  # bounds the float64 temporaries
     for begin in range(0, len(part), block):
@@ -145,12 +146,12 @@ DECIMALS = 5  # a browser's unit is a twentieth of the scene
 def box_document(
     frame: Frame, center: Vector3, axes: Matrix3,
     extent: Vector3,
-) -> dict[str, Any]:  # fmt: skip
+) -> Document:  # fmt: skip
     """Return an oriented box of the world in the browser's frame."""
     return documents.box_document(frame.shown(center), axes, extent * frame.scale, DECIMALS)
 
 
-def match_document(frame: Frame, match: Match, eye: Vector3, name: str = "") -> dict[str, Any]:
+def match_document(frame: Frame, match: Match, eye: Vector3, name: str = "") -> Document:
     """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
     shown = replace(match, center=frame.shown(match.center), extent=match.extent * frame.scale)
     document = documents.match_document(shown, DECIMALS)
@@ -163,7 +164,7 @@ def match_document(frame: Frame, match: Match, eye: Vector3, name: str = "") -> 
     }
 
 
-def rounded(values: Shaped[np.ndarray, "*any"]) -> list[Any]:
+def rounded(values: Shaped[Array, "*any"]) -> list[Any]:
     return documents.rounded(values, DECIMALS)
 
 

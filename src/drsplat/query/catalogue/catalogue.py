@@ -1,6 +1,5 @@
 """Catalogue of many scenes, searched at once."""
 
-import os
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...base.contents import AnyPath
 from ...errors import InputError, warn
 from ...field.codes import Track, untracked
 from ...formats.georeference import read_georeference
@@ -67,7 +67,7 @@ class Catalogue:
     @classmethod
     def open(
         cls,
-        path: str | os.PathLike[str],
+        path: AnyPath,
         *,
         encoder: str | None = None,
         vocabulary: str | None = None,
@@ -102,7 +102,7 @@ class Catalogue:
     # --- contents ---
 
     def add(
-        self, scene: str | os.PathLike[str] | SceneFiles | Scene, *, name: str | None = None, track: Track = untracked
+        self, scene: AnyPath | SceneFiles | Scene, *, name: str | None = None, track: Track = untracked
     ) -> SceneEntry:
         """Add the objects of a scene, or replace those that it had, in one version of the table.
 

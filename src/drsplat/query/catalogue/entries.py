@@ -7,11 +7,12 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ...base.arrays import Matrix3, OtherPixels, Vector3
+from ...base.contents import Document
 from ...errors import FormatError, InputError
 from ...formats.json_files import is_text
 from ...scene.photos import decoded_picture
@@ -173,7 +174,7 @@ class Entry:
                 f"the thumbnail of {self.title} of '{self.scene}' {error}: add the scene again"
             ) from error
 
-    def json(self) -> dict[str, Any]:
+    def json(self) -> Document:
         """Return the entry as a JSON object, without the thumbnail."""
         return {
             "scene": self.scene,
@@ -210,7 +211,7 @@ class CatalogueAnswer:
     num_compared: int
     exact: bool
 
-    def json(self) -> dict[str, Any]:
+    def json(self) -> Document:
         """Return the answer as a JSON object, but for its entries."""
         return {
             "measure": self.measure,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...base.arrays import Flags, Indices
+from ...base.contents import Document
 from ...errors import DrSplatError, FormatError, InputError
 from ...field.objects.agreed import agreed
 from ...formats.field_folder import read_manifest
@@ -98,7 +99,7 @@ def entries_of(
     return [_entry(snapshot.path, rows[int(row_ids[place])], float(scores[place])) for place in places]
 
 
-def _shown(snapshot: Snapshot, row_ids: Indices) -> dict[int, dict[str, Any]]:
+def _shown(snapshot: Snapshot, row_ids: Indices) -> dict[int, Document]:
     """Return what an entry tells, by the ids of rows."""
     return {row[ROW_ID]: row for row in snapshot.take(row_ids, SHOWN).to_pylist()} if len(row_ids) else {}
 
@@ -140,7 +141,7 @@ def _counts(scenes: Any) -> dict[str, int]:
     return dict(zip(counts.field("values").to_pylist(), counts.field("counts").to_pylist(), strict=True))
 
 
-def _listed(row: dict[str, Any], num_objects: int, num_agreed: int) -> SceneEntry:
+def _listed(row: Document, num_objects: int, num_agreed: int) -> SceneEntry:
     folder = row["folder"] or ""
     state = state_of(folder, row["field"], num_objects) if folder else "unknown"
     return SceneEntry(row["scene"], num_objects, num_agreed, row["added"], row["field"], folder, state)
@@ -155,7 +156,7 @@ def state_of(folder: str, field: str, num_objects: int) -> str:
     return "current" if (manifest.get("field"), manifest.get("objects")) == (field, num_objects) else "changed"
 
 
-def _entry(path: Path, row: dict[str, Any], score: float) -> Entry:
+def _entry(path: Path, row: Document, score: float) -> Entry:
     numbers = [row[name] for name in NUMBERS]
     lists = [row["axes"], row["extent"]]
     texts = [row["scene"], row["field"], row["added"]]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Embedding, Embeddings, Indices, Int8, Numbers, OtherIndices
+from ...base.arrays import Array, Embedding, Embeddings, Indices, Int8, Numbers, OtherIndices
 from ...errors import DrSplatError, FormatError, InputError, MismatchError, MissingExtraError, pip_install
 from ...formats.json_files import as_fields, document_in
 from ...scene.encoders import EncoderIdentity, identity_json, identity_text
@@ -103,7 +103,7 @@ def schema_of(encoder: EncoderIdentity) -> Any:
     return pa.schema([*columns.items(), sketch], metadata={KEY: json.dumps(about)})
 
 
-def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray], encoder: EncoderIdentity) -> Any:
+def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[Array], encoder: EncoderIdentity) -> Any:
     """Return rows as an Arrow table; missing columns are null. descriptors: of each row (k, D), of any length.
 
     Raises: InputError: a descriptor without a direction.
@@ -121,7 +121,7 @@ def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray
     return pa.table([arrays[name] for name in schema.names], schema=schema)
 
 
-def _stored(vectors: Embeddings) -> Int8[np.ndarray, "n D"]:
+def _stored(vectors: Embeddings) -> Int8[Array, "n D"]:
     """Return directions in a byte for each number, the largest of a vector 127: their lengths need no room.
 
     Raises: InputError: numbers that are not finite, or a vector without a direction.
@@ -157,7 +157,7 @@ def cosines_of(column: Any, vector: Embedding, path: Path) -> Numbers:
     return best
 
 
-def _numbers_of(column: Any, path: Path) -> tuple[Int8[np.ndarray, "P D"], Indices]:
+def _numbers_of(column: Any, path: Path) -> tuple[Int8[Array, "P D"], Indices]:
     """Return the descriptors as they are stored; row i has those from starts[i] to starts[i + 1]."""
     _, pa = libraries()
     lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column

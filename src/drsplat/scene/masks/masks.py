@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ...base.arrays import Bool, Indices, Int32, Mask, Numbers, Pixels
+from ...base.arrays import Array, Bool, Indices, Int32, Mask, Numbers, Pixels
 from ...errors import InputError
 
 LEVELS = ("default", "small", "medium", "large")
@@ -28,8 +28,8 @@ class Masks:
 
     height: int
     width: int
-    boxes: Int32[np.ndarray, "n 4"]
-    parts: tuple[Bool[np.ndarray, "_ _"], ...]
+    boxes: Int32[Array, "n 4"]
+    parts: tuple[Bool[Array, "_ _"], ...]
     scores: Numbers
 
     def __post_init__(self) -> None:
@@ -68,7 +68,7 @@ class Masks:
         return Masks(self.height, self.width, self.boxes[chosen], parts, self.scores[chosen])
 
 
-def cut_masks(full: Bool[np.ndarray, "n h w"], scores: Numbers) -> Masks:
+def cut_masks(full: Bool[Array, "n h w"], scores: Numbers) -> Masks:
     """Cut each mask, given at the size of the image, to the smallest box that holds it.
 
     One without pixels gets the image's first pixel as its box and stays without pixels, so that

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Float64, Indices, Int32, Int64, MaskIds, OtherIndices
+from ...base.arrays import Array, Float64, Indices, Int32, Int64, MaskIds, OtherIndices
 from ...errors import InputError
 from .masks import LEVELS, Masks
 
@@ -21,7 +21,7 @@ class MaskMaps:
     that have a pixel in a map; row i of the embeddings is that of mask i.
     """
 
-    mask_ids: Int32[np.ndarray, "4 h w"]
+    mask_ids: Int32[Array, "4 h w"]
     masks: Masks
 
 
@@ -45,14 +45,14 @@ def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: 
     rank[np.argsort(-masks.scores, kind="stable")] = np.arange(len(masks))
     better = rank[:, None] < rank
     gone |= (better & (shared / union > max_iou)).any(0)
-    of_outer: Float64[np.ndarray, "n n"] = shared / np.maximum(areas, 1)[:, None]
+    of_outer: Float64[Array, "n n"] = shared / np.maximum(areas, 1)[:, None]
     of_inner = of_outer.T
     inside = (of_outer < _MAX_INNER_SHARE) & (of_inner >= _MIN_INSIDE_SHARE)
     gone |= (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
     return np.flatnonzero(~gone).astype(np.int64)
 
 
-def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
+def overlaps(masks: Masks) -> Int64[Array, "n n"]:
     """Count the pixels that each two masks share, exactly; the diagonal holds areas.
 
     Every row of the image is cut wherever any mask begins or ends; the pieces are then inside or

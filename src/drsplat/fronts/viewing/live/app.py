@@ -18,8 +18,8 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from ....base.contents import Document
 from ....errors import DrSplatError, InputError
-from ....query.documents import Document
 from ...serving.replies import BUG, JPEG, PNG, Reply, decoded, faults_of, problem, refusal
 from ..client import client_file, live_html, printable
 from ..saving import Saves

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from ....base.arrays import Vector3
+from ....base.contents import Document
 from ....base.terminal import counted
 from ....errors import DrSplatError, InputError
 from ....query import Scene
 from ....query.catalogue import Catalogue, Entry
-from ....query.documents import Document
 from ....scene.views import View
 from ...serving.scene_folder import without_paths
 from ..client import printable

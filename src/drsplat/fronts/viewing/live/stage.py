@@ -12,9 +12,9 @@ from pydantic import Field, StringConstraints
 from ....authoring.filming.looking import Standpoints, beside, looking_at, size_in, up_direction
 from ....authoring.filming.paths import CameraPath, KeyFrame
 from ....base.arrays import RowIds, Vector3
+from ....base.contents import Document
 from ....errors import InputError
 from ....query import Match
-from ....query.documents import Document
 from ....query.suggesting import suggestions
 from ....scene.gaussians import significance
 from ....scene.views import View

@@ -9,9 +9,10 @@ from ....authoring.editing.edits import NAMES
 from ....authoring.filming.looking import FOV_DEGREES
 from ....authoring.filming.writing import ffmpeg
 from ....base.arrays import Matrix3, Vector3
+from ....base.contents import Document
 from ....drawing.heat import HEAT, class_colors
 from ....query import Match
-from ....query.documents import Document, support_document
+from ....query.documents import support_document
 from ....query.nodes import numbered
 from ....query.objects import objects_of
 from ....scene.labelled import Annotation

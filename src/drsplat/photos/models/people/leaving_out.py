@@ -7,22 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from ....base.arrays import Doubles, MaskIds, Pixels
 from ....formats.captures import SparsePoints
-from ....formats.mask_files import SUFFIX
-from ....formats.replacing import replacing
+from ....formats.mask_files import write_mask
 from ....kernels.kmeans import Track, untracked
 from ....scene.lens import distort_points
-from ....scene.photo_masks import MIN_WHITE
-from ....scene.photos import load_image, photo_size
+from ....scene.photos import load_image
 from ....scene.views import View
 from .finding import SIDE_PIXELS, people
 
 LEAST_POINTS = 30  # that tell whether somebody stands still
 STILL = 0.25  # least correlation of their brightness with that of the points; of who moves it is about 0
-_WHITE = 255
 
 
 def without_people(
@@ -46,19 +42,12 @@ def without_people(
 def _without_people(view: View, points: SparsePoints | None, folder: Path) -> View:
     if view.image_path is None or view.mask_path:
         return view
-    size, seen = photo_size(view.image_path), view.limited(SIDE_PIXELS)
+    seen = view.limited(SIDE_PIXELS)
     image = load_image(replace(seen, distortion=None))
     labels = people(image, threads=1)
     still = [] if points is None or not labels.any() else _still(seen, image, labels, points)
     shown = (labels > 0) & ~np.isin(labels, still)
-    if not shown.any():
-        return view
-    path = folder / f"{view.name}{SUFFIX}"
-    kept = Image.fromarray(np.where(shown, 0, _WHITE).astype(np.uint8)).resize(size, Image.Resampling.BILINEAR)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path, overwrite=True) as file:
-        kept.point(lambda grey: _WHITE * (grey >= MIN_WHITE)).save(file, format="PNG")
-    return replace(view, mask_path=path)
+    return write_mask(view, shown, folder) if shown.any() else view
 
 
 def _still(view: View, image: Pixels, labels: MaskIds, points: SparsePoints) -> list[int]:
