@@ -1,7 +1,6 @@
 #include "host/splatting.h"
 
 #include <new>
-#include <utility>
 
 namespace drsplat {
 namespace {
@@ -12,24 +11,23 @@ struct TileRun {
 };  // where a tile's triples lie
 
 // Adds one weight to the last Gaussian's entries, which begin at `first` and stay sorted by segment.
-void add_weight(ViewTriples &out, size_t first, uint32_t id, SegmentWeight entry) {
-  size_t at = out.weights.size();
-  while (at > first && out.segment_ids[at - 1] > entry.segment) at--;
-  if (at > first && out.segment_ids[at - 1] == entry.segment) {
-    out.weights[at - 1] += entry.weight;
+void add_weight(MergedTriples &out, size_t first, uint32_t id, SegmentWeight entry) {
+  int32_t *segments = out.segment_ids.data();
+  float *weights = out.weights.data();
+  size_t at = out.size;
+  while (at > first && segments[at - 1] > entry.segment) at--;
+  if (at > first && segments[at - 1] == entry.segment) {
+    weights[at - 1] += entry.weight;
     return;
   }
-  out.gaussian_ids.push_back(id), out.segment_ids.push_back(entry.segment), out.weights.push_back(entry.weight);
-  for (size_t i = out.weights.size() - 1; i > at; i--) {
-    std::swap(out.segment_ids[i], out.segment_ids[i - 1]);
-    std::swap(out.weights[i], out.weights[i - 1]);
-  }
+  for (size_t i = out.size; i > at; i--) segments[i] = segments[i - 1], weights[i] = weights[i - 1];
+  segments[at] = entry.segment, weights[at] = entry.weight;
+  out.gaussian_ids[out.size++] = id;
 }
 
 // Sorts the triples of Gaussians [begin, end) by Gaussian (in tile order, so that sums do not
 // depend on who computed which tile), then adds up equal segments of each Gaussian.
-void merge_part(const Workspace &w, const std::vector<TileRun> &runs, uint32_t begin, uint32_t end, Worker &worker,
-                ViewTriples &out) {
+void merge_part(const Workspace &w, const std::vector<TileRun> &runs, uint32_t begin, uint32_t end, Worker &worker) {
   const uint32_t rows = end - begin;
   auto &start = worker.row_start;
   start.assign(rows + 2, 0);  // counts of row r go to r + 2, so that filling leaves starts in place
@@ -49,28 +47,30 @@ void merge_part(const Workspace &w, const std::vector<TileRun> &runs, uint32_t b
                                        ((const float *)triples.weights.data)[i]};
   });
   const uint32_t size = start[rows];
-  out.gaussian_ids.reserve(size), out.segment_ids.reserve(size), out.weights.reserve(size);
+  MergedTriples &out = worker.merged;
+  grow(out.gaussian_ids, size), grow(out.segment_ids, size), grow(out.weights, size);
+  out.size = 0;
   for (uint32_t row = 0; row < rows; row++) {
-    const size_t first = out.weights.size();
+    const size_t first = out.size;
     for (uint32_t i = start[row]; i < start[row + 1]; i++) add_weight(out, first, begin + row, worker.by_row[i]);
   }
 }
 
-template <class T>
-void append(std::vector<T> &to, const std::vector<T> &from) {
-  to.insert(to.end(), from.begin(), from.end());
-}
-
+// Merged in memory that is kept from view to view, then copied: fresh pages cost more than the copy.
 ViewTriples merge(const Workspace &w, const std::vector<TileRun> &runs, uint32_t count, int threads) {
-  std::vector<ViewTriples> parts(threads);
   over_parts(count, threads,
-             [&](int t, uint32_t begin, uint32_t end) { merge_part(w, runs, begin, end, *w.workers[t], parts[t]); });
-  for (int t = 1; t < threads; t++) {
-    append(parts[0].gaussian_ids, parts[t].gaussian_ids);
-    append(parts[0].segment_ids, parts[t].segment_ids);
-    append(parts[0].weights, parts[t].weights);
+             [&](int t, uint32_t begin, uint32_t end) { merge_part(w, runs, begin, end, *w.workers[t]); });
+  size_t total = 0;
+  for (int t = 0; t < threads; t++) total += w.workers[t]->merged.size;
+  ViewTriples out;
+  out.gaussian_ids.reserve(total), out.segment_ids.reserve(total), out.weights.reserve(total);
+  for (int t = 0; t < threads; t++) {
+    const MergedTriples &part = w.workers[t]->merged;
+    const auto append = [&](auto &to, const auto &from) { to.insert(to.end(), from.data(), from.data() + part.size); };
+    append(out.gaussian_ids, part.gaussian_ids), append(out.segment_ids, part.segment_ids);
+    append(out.weights, part.weights);
   }
-  return std::move(parts[0]);
+  return out;
 }
 
 }  // namespace

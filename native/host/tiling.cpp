@@ -149,9 +149,10 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_
     size_t rows = 0;
     for (uint32_t i = begin; i < end; i++) rows += w.extents[i].y1 - w.extents[i].y0;
     grow(worker.spans, rows);
-    worker.tile_counts.assign(tiles, 0);
+    worker.tile_counts.assign(tiles + 1, 0);
     kernels.tile_spans(w.splats.data() + begin, w.extents.data() + begin, end - begin, w.columns, worker.spans.data(),
                        worker.tile_counts.data());
+    for (int tile = 1; tile < tiles; tile++) worker.tile_counts[tile] += worker.tile_counts[tile - 1];
   });
   grow(w.tile_start, tiles + 1);
   uint64_t sum = 0;

@@ -13,9 +13,17 @@ struct SegmentWeight {
   float weight;
 };
 
+struct MergedTriples {  // the first `size`: sorted by (Gaussian, segment)
+  Kept<uint32_t> gaussian_ids;
+  Kept<int32_t> segment_ids;
+  Kept<float> weights;
+  size_t size = 0;
+};
+
 struct Worker {
   TileScratch scratch;
   Triples triples;
+  MergedTriples merged;
   Kept<uint32_t> spans, tile_counts, depth_counts, row_start;
   Kept<SegmentWeight> by_row;
 };

@@ -10,7 +10,8 @@
 namespace drsplat::DRSPLAT_ISA {
 
 constexpr int kBlocks = 16, kBlockWidth = 8, kBlockHeight = 2;
-constexpr uint32_t kChunk = 128;  // list entries per look-ahead
+constexpr uint32_t kChunk = 128;       // list entries per look-ahead
+constexpr uint32_t kSplatsAhead = 32;  // of those, fetched before they are tested
 constexpr float kMinTransmittance = 1e-4f, kMaxAlpha = 0.99f;
 constexpr size_t kTableLimit = 1 << 16;  // 64-byte cells: 4 MiB
 
@@ -76,7 +77,7 @@ INLINE uint32_t blocks_touched(const Walk &w, const Splat &g) {
 
 static inline void look_ahead(Walk &w, uint32_t end) {
   for (; w.known < end; w.known++) {
-    if (w.known + 8 < w.tile.count) __builtin_prefetch(&w.tile.splats[w.tile.list[w.known + 8]]);
+    if (w.known + kSplatsAhead < w.tile.count) __builtin_prefetch(&w.tile.splats[w.tile.list[w.known + kSplatsAhead]]);
     w.masks[w.known] = (uint16_t)blocks_touched(w, w.tile.splats[w.tile.list[w.known]]);
   }
 }
@@ -283,6 +284,8 @@ struct TileSegments {
 
 static void find_segments(const Tile &tile, const int32_t *segment_ids, TileSegments &s) {
   memset(s.slots_of_block, 0, sizeof s.slots_of_block);
+  for (int y = tile.y * 16; y < tile.y * 16 + 16 && y < tile.height; y++)  // of the tile after the next
+    if (tile.x * 16 + 32 < tile.width) __builtin_prefetch(segment_ids + (size_t)y * tile.width + tile.x * 16 + 32);
   for (int b = 0; b < kBlocks; b++) {
     int32_t slots[16];
     for (int l = 0; l < 16; l++) {

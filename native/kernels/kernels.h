@@ -144,7 +144,7 @@ struct Kernels {
   const char *name;
   uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
   uint32_t *(*tile_spans)(const Splat *, const Extent *, uint32_t count, int32_t columns, uint32_t *spans,
-                          uint32_t *histogram);
+                          uint32_t *changes);
   void (*tile_weights)(const Tile &, const Selection &, const int32_t *segment_ids, TileScratch &, Triples &);
   void (*tile_contributions)(const Tile &, const Selection &, TileScratch &, int32_t *ids, float *weights);
   void (*tile_render)(const Tile &, const float *values, int32_t channels, const float *background, TileScratch &,

@@ -154,6 +154,11 @@ static inline int tile_at(float x) {
   return x > -1e6f && x < 1e6f ? (int)__builtin_floorf(x) : x < 0 ? -1000000 : 1000000;
 }
 
+INLINE float clamped(float x, float low, float high) {  // without a branch, which is not to be foreseen
+  const float below = x < high ? x : high;
+  return below > low ? below : low;
+}
+
 // Tile columns that the ellipse d^T cov^-1 d <= reach touches within one tile row: its extreme x there
 // is at the dy of its overall extreme where the row holds that, else at the row's nearer edge.
 static inline TileSpan span_in_row(const Splat &g, const Extent &e, int row) {
@@ -162,14 +167,13 @@ static inline TileSpan span_in_row(const Splat &g, const Extent &e, int row) {
   bottom = bottom < e.half_height ? bottom : e.half_height;
   if (top > bottom) return {0, 0};
   const float at_extreme = e.half_width * e.cov_xy / e.cov_xx;
-  const float right_y = at_extreme < top ? top : at_extreme > bottom ? bottom : at_extreme;
-  const float left_y = -at_extreme < top ? top : -at_extreme > bottom ? bottom : -at_extreme;
+  const float right_y = clamped(at_extreme, top, bottom), left_y = clamped(-at_extreme, top, bottom);
   const float inverse = 1.f / e.cov_yy, slope = e.cov_xy * inverse,
               scale = (e.cov_xx * e.cov_yy - e.cov_xy * e.cov_xy) * inverse;
   const float right_2 = (e.reach - right_y * right_y * inverse) * scale,
               left_2 = (e.reach - left_y * left_y * inverse) * scale;
-  const float right = right_y * slope + (right_2 > 0 ? __builtin_sqrtf(right_2) : 0.f);
-  const float left = left_y * slope - (left_2 > 0 ? __builtin_sqrtf(left_2) : 0.f);
+  const float right = right_y * slope + __builtin_sqrtf(right_2 > 0 ? right_2 : 0.f);
+  const float left = left_y * slope - __builtin_sqrtf(left_2 > 0 ? left_2 : 0.f);
   const float origin = g.x - 0.5f;
   const int first = tile_at((origin + left) * (1 / 16.f) - 1e-3f);
   const int last = tile_at((origin + right) * (1 / 16.f) + 1e-3f) + 1;
@@ -177,16 +181,17 @@ static inline TileSpan span_in_row(const Splat &g, const Extent &e, int row) {
   return span.last > span.first ? span : TileSpan{0, 0};
 }
 
-// Writes, for every splat and every tile row of its rectangle, first | last << 16; counts tiles.
+// Writes, for every splat and every tile row of its rectangle, first | last << 16. Adds to `changes`, one more than
+// there are tiles, by how much more splats touch a tile than the one before.
 static uint32_t *tile_spans(const Splat *splats, const Extent *extents, uint32_t count, int32_t columns,
-                            uint32_t *spans, uint32_t *histogram) {
+                            uint32_t *spans, uint32_t *changes) {
   for (uint32_t i = 0; i < count; i++) {
     const Extent &e = extents[i];
     const bool narrow = e.x1 - e.x0 == 1;
     for (int row = e.y0; row < e.y1; row++) {
       const TileSpan s = narrow ? TileSpan{e.x0, e.x1} : span_in_row(splats[i], e, row);
       *spans++ = (uint32_t)s.first | (uint32_t)s.last << 16;
-      for (int x = s.first; x < s.last; x++) histogram[(size_t)row * columns + x]++;
+      changes[(size_t)row * columns + s.first]++, changes[(size_t)row * columns + s.last]--;
     }
   }
   return spans;

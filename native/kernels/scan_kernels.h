@@ -10,7 +10,7 @@ namespace drsplat {
 
 constexpr uint32_t kGroupRows = 256;
 constexpr uint32_t kPairRows = 2 * kGroupRows;  // kernels work on two groups at once
-constexpr uint32_t kQueryTile = 16;             // queries whose tables stay in the L2 cache together
+constexpr uint32_t kQueryTile = 8;              // queries whose tables stay in half an L2 cache together
 
 struct GroupedRows {
   const uint8_t *codes;        // ceil(rows / 256) x subvectors x 256; bytes past the last row are ignored

@@ -252,6 +252,24 @@ def test_gaussians_that_cover_the_screen(isa):
     assert_same_triples(native, expected)
 
 
+@every_isa
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("width", [64, 65])
+def test_splats_that_reach_the_last_tile_of_a_row_are_in_all(isa, threads, width):
+    """A tile for a mask: what a splat weighs there is the share of the light that it takes of the tile's pixels."""
+    arrays = splat_arrays(random_gaussians(30, 4, extent=2.0, size=1.5))
+    view = look_at_view((0.0, -6.0, 1.0), width=width, height=48)
+    tiles = (np.arange(48)[:, None] // 16 * 5 + np.arange(width) // 16).astype(np.int32)
+    found = view_weights(arrays, view, tiles, None, threads=threads, isa=isa)
+    drawn = render_channels(arrays, view, np.eye(30, dtype=np.float32), threads=threads, isa=isa).channels
+    expected = np.zeros((30, 15))
+    np.add.at(expected.T, tiles.ravel(), drawn.reshape(-1, 30))
+    weights = np.zeros((30, 15))
+    weights[found.gaussian_ids, found.mask_ids] = found.weights
+    assert (weights > 0).mean() > 0.5
+    assert_allclose(weights, expected, rtol=1e-5, atol=1e-5)
+
+
 def test_more_than_all_contributors_is_all():
     arguments = (arrays_of("outside"), view_of("outside"), segments_of("outside"))
     for generous, unlimited in zip(view_weights(*arguments, 1000), view_weights(*arguments, None), strict=True):
