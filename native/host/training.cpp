@@ -33,8 +33,10 @@ void TrainingPass::forward(float *image, float *alpha) {
   parallel(threads_,
            [&](int t) { kernels_.splat_colors(visible_of(t), parameters_, active_, center_, w.colors.data()); });
   const double t2 = now();
-  each_tile(w, camera_, threads_, [&](int t, int, const Tile &tile) {
-    kernels_.tile_forward(tile, w.colors.data(), background_, w.workers[t]->scratch, image, alpha);
+  grow(w.blocks, (size_t)w.tile_start[w.columns * w.rows] + 1);
+  each_tile(w, camera_, threads_, [&](int t, int i, const Tile &tile) {
+    kernels_.tile_forward(tile, w.colors.data(), background_, w.workers[t]->scratch, image, alpha,
+                          w.blocks.data() + w.tile_start[i]);
   });
   seconds.color = t2 - t1, seconds.forward = now() - t2;
 }
@@ -62,8 +64,8 @@ GradientArrays TrainingPass::backward(const float *image, const float *image_gra
   const double t0 = now();
   grow(w.sums, (size_t)w.tile_start[w.columns * w.rows] * kSplatSums + 1);
   each_tile(w, camera_, threads_, [&](int t, int i, const Tile &tile) {
-    kernels_.tile_backward(tile, w.colors.data(), image, image_gradient, w.workers[t]->scratch,
-                           w.sums.data() + (size_t)w.tile_start[i] * kSplatSums);
+    kernels_.tile_backward(tile, w.blocks.data() + w.tile_start[i], w.colors.data(), image, image_gradient,
+                           w.workers[t]->scratch, w.sums.data() + (size_t)w.tile_start[i] * kSplatSums);
   });
   const double t1 = now();
   const GradientArrays out = cleared_gradients();
@@ -78,8 +80,8 @@ LossValue photometric_loss(const Kernels &kernels, const float *image, const flo
                            float ssim_weight, int threads, float *gradient) {
   const size_t stride = ((size_t)width + 15) / 16 * 16;
   static thread_local Kept<float> planes;  // kept: fresh pages cost more than the work
-  grow(planes, 24 * stride * (size_t)height);
-  std::vector<std::vector<float>> scratch(threads, std::vector<float>(5 * (stride + 32)));
+  grow(planes, 21 * stride * (size_t)height);
+  std::vector<std::vector<float>> scratch(threads, std::vector<float>(4 * (stride + 32)));
   std::vector<double> l1_rows(3 * (size_t)height), ssim_rows(3 * (size_t)height);
   float *const all_planes = planes.data();
   const auto each_band = [&](auto work) {

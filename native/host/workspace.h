@@ -39,6 +39,7 @@ struct Workspace {
   // and its entries of `list` in tile order.
   Kept<uint32_t> projected_counts, ranks, places, places_start;
   Kept<float> scene, colors, sums, gradients;  // training only
+  Kept<uint16_t> blocks;                       // also: of each entry of `list`, the blocks in which it reaches a ray
   std::vector<std::unique_ptr<Worker>> workers;
   int columns = 0, rows = 0;
   uint32_t visible = 0;

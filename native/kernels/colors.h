@@ -61,7 +61,7 @@ static inline Directions directions_to(const Floats *mean, const float *center) 
 
 constexpr int kMostColors = 48;  // SH coefficients of three channels
 
-static inline void fetch_colors(const Visible &v, const Parameters &p, int used, uint32_t i) {
+INLINE void fetch_colors(const Visible &v, const Parameters &p, int used, uint32_t i) {
   if (i >= v.count) return;
   const float *row = p.sh + v.splats[i].id * (size_t)p.coefficients * 3;
   for (int k = 0; k < 3 * used; k += 16) __builtin_prefetch(row + k);

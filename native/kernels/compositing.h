@@ -17,12 +17,14 @@ constexpr size_t kTableLimit = 1 << 16;  // 64-byte cells: 4 MiB
 
 struct Walk {
   const Tile &tile;
-  uint16_t *masks;     // per list entry: the blocks it may touch
+  const float *colors;  // 3 per splat, fetched with the splats; or null
+  uint16_t *masks;      // per list entry: the blocks it may touch
   uint32_t known = 0;  // masks are filled up to here
   float left, top;     // centre of the tile's first pixel
   Floats block_x, block_y, lane_x, lane_y;
 
-  Walk(const Tile &t, TileScratch &scratch) : tile(t), left((float)t.x * 16.f + 0.5f), top((float)t.y * 16.f + 0.5f) {
+  Walk(const Tile &t, TileScratch &scratch, const float *colors = nullptr)
+      : tile(t), colors(colors), left((float)t.x * 16.f + 0.5f), top((float)t.y * 16.f + 0.5f) {
     reserve(scratch.block_masks, (t.count + 16) * sizeof(uint16_t));
     masks = (uint16_t *)scratch.block_masks.data;
     float bx[16], by[16], lx[16], ly[16];
@@ -75,9 +77,15 @@ INLINE uint32_t blocks_touched(const Walk &w, const Splat &g) {
   return lanes_of(maximum(p1, p2) >= splat(kLog2MinAlpha - g.log2_opacity - 1e-3f));
 }
 
+INLINE void fetch_splat(const Tile &tile, const float *colors, uint32_t i) {
+  if (i >= tile.count) return;
+  __builtin_prefetch(&tile.splats[tile.list[i]]);
+  if (colors) __builtin_prefetch(colors + 3 * (size_t)tile.list[i]);
+}
+
 static inline void look_ahead(Walk &w, uint32_t end) {
   for (; w.known < end; w.known++) {
-    if (w.known + kSplatsAhead < w.tile.count) __builtin_prefetch(&w.tile.splats[w.tile.list[w.known + kSplatsAhead]]);
+    fetch_splat(w.tile, w.colors, w.known + kSplatsAhead);
     w.masks[w.known] = (uint16_t)blocks_touched(w, w.tile.splats[w.tile.list[w.known]]);
   }
 }
@@ -110,8 +118,8 @@ struct Never {
   __attribute__((always_inline)) bool operator()(Floats) const { return false; }
 };
 
-// Calls begin_chunk(n) before up to n visits, visit(list index, weights) for every splat front to back, and now and
-// then ends(transmittance), which ends the walk where it is true.
+// Calls begin_chunk(n) before up to n visits, visit(list index, weights, reached) for every splat front to back, and now
+// and then ends(transmittance), which ends the walk where it is true. reached: lanes whose rays it touches or ends.
 // The transmittance is not zeroed at the stop: it only falls, so "would bring it under 1e-4" stays true
 // by itself, and the loop-carried chain is one multiplication. Returns the final transmittance.
 template <class Begin, class Visit, class Ends = Never>
@@ -121,6 +129,7 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
   const Points pixels = centres_of(w, block);
   Floats transmittance = keep(wanted, splat(1.f)), last = splat(1.f);
   Ints hits = splat_int(0);
+  Mask before = wanted;
   uint32_t chunk[kChunk + 16];
   for (uint32_t at = 0; at < tile.count; at += kChunk) {
     const uint32_t end = at + kChunk < tile.count ? at + kChunk : tile.count;
@@ -139,7 +148,8 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
         live = live & !(splat_int(first_hits) < hits);
         kept = keep(live, kept);
       }
-      visit(chunk[j], kept);
+      visit(chunk[j], kept, before & (splat(0.f) < weight));
+      before = live;
       last = select(live, after, last);
       transmittance = first_hits ? keep(live, after) : after;
       if (!any(live)) return last;
@@ -187,7 +197,7 @@ static Record record_block(Walk &w, int block, Mask wanted, const Selection &sel
         reserve(scratch.hit_list, (r.size + n + 1) * sizeof(uint32_t));
         r.weights = (float *)scratch.hits.data, r.index = (uint32_t *)scratch.hit_list.data;
       },
-      [&](uint32_t i, Floats weight) __attribute__((always_inline)) {  // branch-free append
+      [&](uint32_t i, Floats weight, Mask) __attribute__((always_inline)) {  // branch-free append
         const Mask positive = splat(0.f) < weight;
         store(r.weights + 16 * r.size, weight);
         r.index[r.size] = i;
@@ -416,7 +426,7 @@ static void tile_render(const Tile &tile, const float *values, int32_t channels,
       for (int c = 0; c < n; c++) total[c] = splat(0.f);
       const Floats rest = walk_block(
           walk, b, inside, 0, [](uint32_t) {},
-          [&](uint32_t i, Floats w) __attribute__((always_inline)) {
+          [&](uint32_t i, Floats w, Mask) __attribute__((always_inline)) {
             const Splat &g = tile.splats[tile.list[i]];
             const float *value = values + (size_t)g.id * channels + first;
             for (int c = 0; c < n; c++) total[c] = total[c] + w * splat(value[c]);

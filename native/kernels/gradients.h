@@ -138,10 +138,12 @@ static inline void store_gradients(const Group &group, const LaneGradients &g, c
   put(&g.logit, 1, out.logits), put(&g.screen, 1, out.screen), put(&g.radius, 1, out.radii);
 }
 
-static inline void fetch_sums(const Visible &v, const Sums &sums, uint32_t i) {
+INLINE void fetch_sums(const Visible &v, const Sums &sums, uint32_t i) {
   if (i >= v.count) return;
-  for (uint32_t k = v.places_start[i]; k < v.places_start[i + 1]; k++)
-    __builtin_prefetch(sums.values + (size_t)sums.places[k] * kSplatSums);
+  for (uint32_t k = v.places_start[i]; k < v.places_start[i + 1]; k++) {
+    const float *row = sums.values + (size_t)sums.places[k] * kSplatSums;
+    __builtin_prefetch(row), __builtin_prefetch(row + kSplatSums - 1);  // which may lie in two lines
+  }
   __builtin_prefetch(sums.colors + 3 * (size_t)v.ranks[i]);
 }
 

@@ -10,4 +10,5 @@
 #include <arm_neon.h>
 #endif
 
+// What only fetches must be INLINE too: GCC drops calls of functions that change nothing before it inlines them.
 #define INLINE static inline __attribute__((always_inline))

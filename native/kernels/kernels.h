@@ -113,7 +113,7 @@ struct GradientArrays {  // as Parameters; zero where a Gaussian is not seen
   float *means, *log_scales, *quats, *logits, *sh, *screen, *radii;
 };
 
-struct LossPlanes {  // eight planes of each channel, rows padded to whole vectors
+struct LossPlanes {  // seven planes of each channel, rows padded to whole vectors
   float *planes, *scratch;
   int32_t width, height;
   size_t stride;
@@ -162,9 +162,9 @@ struct Kernels {
                    float *opacities);
   void (*splat_colors)(const Visible &, const Parameters &, int32_t active, const float *center, float *colors);
   void (*tile_forward)(const Tile &, const float *colors, const float *background, TileScratch &, float *image,
-                       float *alpha);
-  void (*tile_backward)(const Tile &, const float *colors, const float *image, const float *gradient, TileScratch &,
-                        float *sums);
+                       float *alpha, uint16_t *blocks);
+  void (*tile_backward)(const Tile &, const uint16_t *blocks, const float *colors, const float *image,
+                        const float *gradient, TileScratch &, float *sums);
   void (*splats_backward)(const Visible &, const Sums &, const Parameters &, const Camera &, int32_t active,
                           const float *center, const GradientArrays &);
   void (*ssim_rows)(const float *image, const float *target, const LossPlanes &, int row_begin, int row_end);

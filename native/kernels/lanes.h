@@ -104,7 +104,13 @@ INLINE Ints increment(Ints a, Mask m) {
 INLINE Floats minimum(Floats a, Floats b) { return {{(FloatPart)_mm512_min_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
 INLINE Floats maximum(Floats a, Floats b) { return {{(FloatPart)_mm512_max_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
 INLINE Floats square_root(Floats a) { return {{(FloatPart)_mm512_sqrt_ps((__m512)a.part[0])}}; }
+// 1 / a to 1e-7 for normal a: the processor's estimate and one step of Newton's, in a third of a division's time.
+INLINE Floats reciprocal(Floats a) {
+  const Floats guess = {{(FloatPart)_mm512_rcp14_ps((__m512)a.part[0])}};
+  return guess * (splat(2.f) - a * guess);
+}
 #else
+INLINE Floats reciprocal(Floats a) { return splat(1.f) / a; }
 #define LANE_COMPARISON(Type, op) \
   INLINE Mask operator op(Type a, Type b) { LANES(Mask, a.part[i] op b.part[i]); }
 LANE_COMPARISON(Floats, <)

@@ -5,6 +5,7 @@
 namespace drsplat::DRSPLAT_ISA {
 
 constexpr int kWindow = 11, kReach = kWindow / 2;  // Gaussian window, sigma 1.5
+constexpr int kBlurred = 4;                        // planes of each channel; three more on the way back
 constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
 
 struct Window {
@@ -41,6 +42,11 @@ static inline void blur_row(const Window &g, const float *padded, float *out, in
 // The vertical half: 16 columns at x of row y, from a plane of `stride` floats a row.
 INLINE Floats blur_column(const Window &g, const float *plane, size_t stride, int height, int y, int x) {
   Floats s = splat(0.f);
+  if (y >= kReach && y + kReach < height) {
+    const float *first = plane + (size_t)(y - kReach) * stride + x;
+    for (int k = 0; k < kWindow; k++) s = s + splat(g.w[k]) * load(first + (size_t)k * stride);
+    return s;
+  }
   for (int k = 0; k < kWindow; k++) {
     const int row = y + k - kReach;
     if (row >= 0 && row < height) s = s + splat(g.w[k]) * load(plane + (size_t)row * stride + x);
@@ -48,21 +54,21 @@ INLINE Floats blur_column(const Window &g, const float *plane, size_t stride, in
   return s;
 }
 
-// Rows of one channel of two images as planes, then their five products blurred along the row.
+// Rows of one channel of two images as planes: both, the sum of their squares and their product, blurred along the row.
 static void ssim_rows(const float *image, const float *target, const LossPlanes &p, int row_begin, int row_end) {
   const Window g;
-  float *padded = p.scratch, *rows[5];
-  for (int i = 0; i < 5; i++) rows[i] = padded + (size_t)i * (p.stride + 32);
-  memset(padded, 0, 5 * (p.stride + 32) * sizeof(float));
+  float *padded = p.scratch, *rows[kBlurred];
+  for (int i = 0; i < kBlurred; i++) rows[i] = padded + (size_t)i * (p.stride + 32);
+  memset(padded, 0, kBlurred * (p.stride + 32) * sizeof(float));
   for (int y = row_begin; y < row_end; y++)
     for (int c = 0; c < 3; c++) {
       for (int x = 0; x < p.width; x++) {
         const size_t at = ((size_t)y * p.width + x) * 3 + c;
         const float a = image[at], b = target[at];
-        rows[0][kReach + x] = a, rows[1][kReach + x] = b, rows[2][kReach + x] = a * a, rows[3][kReach + x] = b * b,
-                         rows[4][kReach + x] = a * b;
+        rows[0][kReach + x] = a, rows[1][kReach + x] = b, rows[2][kReach + x] = a * a + b * b,
+                         rows[3][kReach + x] = a * b;
       }
-      for (int i = 0; i < 5; i++) blur_row(g, rows[i], plane_of(p, i, c) + (size_t)y * p.stride, p.width);
+      for (int i = 0; i < kBlurred; i++) blur_row(g, rows[i], plane_of(p, i, c) + (size_t)y * p.stride, p.width);
     }
 }
 
@@ -81,8 +87,8 @@ static void ssim_partials(const LossPlanes &p, int row_begin, int row_end, doubl
         const int n = p.width - x;
         const auto blurred = [&](int i) { return blur_column(g, plane_of(p, i, c), p.stride, p.height, y, x); };
         const Floats a = blurred(0), b = blurred(1), aa = a * a, bb = b * b, ab = a * b;
-        const Floats top1 = two * ab + c1, top2 = two * (blurred(4) - ab) + c2;
-        const Floats low1 = aa + bb + c1, low2 = (blurred(2) - aa) + (blurred(3) - bb) + c2;
+        const Floats top1 = two * ab + c1, top2 = two * (blurred(3) - ab) + c2;
+        const Floats low1 = aa + bb + c1, low2 = blurred(2) - (aa + bb) + c2;
         const Floats inverse = one / (low1 * low2), ssim = top1 * top2 * inverse;
         const Floats by_product = two * top1 * inverse;
         const Floats by_square = splat(0.f) - ssim / low2;
@@ -92,7 +98,7 @@ static void ssim_partials(const LossPlanes &p, int row_begin, int row_end, doubl
             store(rows[2] + kReach + x, first_lanes(by_product, n));
       }
       row_sums[y * 3 + c] = (double)sum(total);
-      for (int i = 0; i < 3; i++) blur_row(g, rows[i], plane_of(p, 5 + i, c) + (size_t)y * p.stride, p.width);
+      for (int i = 0; i < 3; i++) blur_row(g, rows[i], plane_of(p, kBlurred + i, c) + (size_t)y * p.stride, p.width);
     }
 }
 
@@ -110,7 +116,7 @@ static void loss_gradient(const float *image, const float *target, const LossPla
         const size_t first = ((size_t)y * p.width + x) * 3 + c;
         float pixels[2][16] = {}, slopes[16];
         for (int i = 0; i < n; i++) pixels[0][i] = image[first + 3 * i], pixels[1][i] = target[first + 3 * i];
-        const auto blurred = [&](int i) { return blur_column(g, plane_of(p, 5 + i, c), p.stride, p.height, y, x); };
+        const auto blurred = [&](int i) { return blur_column(g, plane_of(p, kBlurred + i, c), p.stride, p.height, y, x); };
         const Floats a = load(pixels[0]), b = load(pixels[1]), difference = a - b, none = splat(0.f);
         const Floats up = keep(none < difference, splat(1.f)), down = keep(difference < none, splat(1.f));
         total = total + maximum(difference, -difference);

@@ -6,18 +6,21 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
-// colors: 3 per splat. image (height, width, 3), alpha (height, width).
+// colors: 3 per splat. image (height, width, 3), alpha (height, width). blocks: of each list entry, a bit for each block
+// of which it reaches a ray, which is where the way back finds something to do.
 static void tile_forward(const Tile &tile, const float *colors, const float *background, TileScratch &scratch,
-                         float *image, float *alpha) {
-  Walk walk(tile, scratch);
+                         float *image, float *alpha, uint16_t *blocks) {
+  Walk walk(tile, scratch, colors);
+  memset(blocks, 0, tile.count * sizeof(uint16_t));
   for (int b = 0; b < kBlocks; b++) {
     const auto [left, top, inside] = pixels_of(walk, b);
     if (!any(inside)) continue;
     Floats red = splat(0.f), green = red, blue = red;
     const Floats rest = walk_block(
         walk, b, inside, 0, [](uint32_t) {},
-        [&](uint32_t i, Floats w) __attribute__((always_inline)) {
+        [&](uint32_t i, Floats w, Mask reached) __attribute__((always_inline)) {
           const float *color = colors + 3 * (size_t)tile.list[i];
+          blocks[i] = (uint16_t)(blocks[i] | (uint32_t)any(reached) << b);
           red = red + w * splat(color[0]), green = green + w * splat(color[1]), blue = blue + w * splat(color[2]);
         });
     write_lanes(image, tile, left, top, inside, 3, red + rest * splat(background[0]));
@@ -28,12 +31,12 @@ static void tile_forward(const Tile &tile, const float *colors, const float *bac
 }
 
 struct BlockState {              // 16 pixels during the backward walk
+  Floats x, y;                   // their centres
   Floats transmittance, behind;  // behind: (what is composited from here on) . dL/dpixel
   Floats red, green, blue;       // dL/dpixel
 };
 
-static inline uint32_t start_blocks(const Walk &walk, const float *image, const float *gradient, BlockState *blocks) {
-  uint32_t alive = 0;
+static inline void start_blocks(const Walk &walk, const float *image, const float *gradient, BlockState *states) {
   const Tile &tile = walk.tile;
   for (int b = 0; b < kBlocks; b++) {
     float t[16], behind[16], g[3][16];
@@ -47,47 +50,43 @@ static inline uint32_t start_blocks(const Walk &walk, const float *image, const 
         g[c][l] = inside ? gradient[pixel + c] : 0.f;
         behind[l] += inside ? image[pixel + c] * g[c][l] : 0.f;
       }
-      alive |= (uint32_t)inside << b;
     }
-    blocks[b] = {load(t), load(behind), load(g[0]), load(g[1]), load(g[2])};
+    const Points centres = centres_of(walk, b);
+    states[b] = {centres.x, centres.y, load(t), load(behind), load(g[0]), load(g[1]), load(g[2])};
   }
-  return alive;
 }
 
 // Sums over the tile's pixels for every list entry, kSplatSums each: dL/d(colour), then with
-// G = dL/d(ln alpha): G, G dx, G dy, G dx^2, G dx dy, G dy^2, d = pixel - centre.
+// G = dL/d(ln alpha): G, G dx, G dy, G dx^2, G dx dy, G dy^2, d = pixel - centre. blocks: of tile_forward.
 //
 // dL/d(alpha_i) = T_i (c_i . g) - (what is behind i) / (1 - alpha_i), and what is behind i is the pixel's
 // value less what was composited up to i: so one walk front to back, without a record, is enough.
-static void tile_backward(const Tile &tile, const float *colors, const float *image, const float *gradient,
-                          TileScratch &scratch, float *sums) {
+static void tile_backward(const Tile &tile, const uint16_t *blocks, const float *colors, const float *image,
+                          const float *gradient, TileScratch &scratch, float *sums) {
   memset(sums, 0, (size_t)tile.count * kSplatSums * sizeof(float));
   if (!tile.count) return;
-  const Walk walk(tile, scratch);
-  BlockState blocks[kBlocks];
-  uint32_t alive = start_blocks(walk, image, gradient, blocks);
-  for (uint32_t i = 0; i < tile.count && alive; i++) {
-    if (i + 8 < tile.count) __builtin_prefetch(&tile.splats[tile.list[i + 8]]);
+  BlockState states[kBlocks];
+  start_blocks(Walk(tile, scratch), image, gradient, states);
+  for (uint32_t i = 0; i < tile.count; i++) {
+    fetch_splat(tile, colors, i + kFetchAhead);
+    uint32_t reached = blocks[i];
+    if (!reached) continue;
     const Splat &g = tile.splats[tile.list[i]];
-    uint32_t touched = blocks_touched(walk, g) & alive;
-    if (!touched) continue;
     const float *color = colors + 3 * (size_t)tile.list[i];
     Floats total[kSplatSums];
     for (Floats &t : total) t = splat(0.f);
-    for (; touched; touched &= touched - 1) {
-      const int b = __builtin_ctz(touched);
-      BlockState &s = blocks[b];
-      const Points d = offsets(centres_of(walk, b), g);
+    for (; reached; reached &= reached - 1) {
+      BlockState &s = states[__builtin_ctz(reached)];
+      const Points d = offsets({s.x, s.y}, g);
       const Floats alpha = alpha_at(g, d);
       const Floats weight = s.transmittance * alpha, after = s.transmittance - weight;
       const Mask live = after >= splat(kMinTransmittance);
       const Floats w = keep(live, weight);
       const Floats shade = s.red * splat(color[0]) + s.green * splat(color[1]) + s.blue * splat(color[2]);
       const Floats behind = s.behind - w * shade;
-      const Floats slope = s.transmittance * shade - behind / (splat(1.f) - alpha);  // dL/d(alpha)
+      const Floats slope = s.transmittance * shade - behind * reciprocal(splat(1.f) - alpha);  // dL/d(alpha)
       const Floats G = keep(live & (alpha < splat(kMaxAlpha)), slope * alpha);
       s.transmittance = after, s.behind = behind;
-      if (!any(live)) alive &= ~(1u << b);
       const Floats gx = G * d.x, gy = G * d.y;
       add_to(total[0], w * s.red), add_to(total[1], w * s.green), add_to(total[2], w * s.blue);
       add_to(total[3], G), add_to(total[4], gx), add_to(total[5], gy);
