@@ -15,11 +15,10 @@ import slow_tests
 from browsing import a_browser
 from drsplat.evaluation.demo import story as household
 from edited_rooms import write_room
-from furnished.story import Setup, Story, tell
+from furnished.story import Story, tell
 from growing_rooms import full_room, half_room  # noqa: F401  (fixtures)
 
 COSTLY = "household_story"
-SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))
 settings.register_profile("suite", max_examples=30, deadline=None)  # laws that need more, or fewer, say so
 settings.load_profile("suite")
 MAX_PROCESSES = 8  # each makes the costly fixtures of its files anew
@@ -70,7 +69,7 @@ def demo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def story(demo_folder: Path) -> Story:
     """The furnished room with fewer Gaussians and photos, told once."""
-    return tell(demo_folder, SMALL)
+    return tell(demo_folder)
 
 
 @pytest.fixture(scope="session")

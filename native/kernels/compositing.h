@@ -19,8 +19,8 @@ struct Walk {
   const Tile &tile;
   const float *colors;  // 3 per splat, fetched with the splats; or null
   uint16_t *masks;      // per list entry: the blocks it may touch
-  uint32_t known = 0;  // masks are filled up to here
-  float left, top;     // centre of the tile's first pixel
+  uint32_t known = 0;   // masks are filled up to here
+  float left, top;      // centre of the tile's first pixel
   Floats block_x, block_y, lane_x, lane_y;
 
   Walk(const Tile &t, TileScratch &scratch, const float *colors = nullptr)
@@ -118,8 +118,8 @@ struct Never {
   __attribute__((always_inline)) bool operator()(Floats) const { return false; }
 };
 
-// Calls begin_chunk(n) before up to n visits, visit(list index, weights, reached) for every splat front to back, and now
-// and then ends(transmittance), which ends the walk where it is true. reached: lanes whose rays it touches or ends.
+// Calls begin_chunk(n) before up to n visits, visit(list index, weights, reached) for every splat front to back, and
+// now and then ends(transmittance), which ends the walk where it is true. reached: lanes whose rays it touches or ends.
 // The transmittance is not zeroed at the stop: it only falls, so "would bring it under 1e-4" stays true
 // by itself, and the loop-carried chain is one multiplication. Returns the final transmittance.
 template <class Begin, class Visit, class Ends = Never>

@@ -14,24 +14,17 @@ from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.similarity import sh_basis
 from drsplat.scene.views import View
 from furnished.cameras import walk
-from furnished.paint import placed
-from furnished.room import INVENTORY, _splats
+from furnished.room import INVENTORY, build_room
 
 COARSE, TEDDY, BY, TURN = 2.0, "brown teddy", (-0.55, 0.30, 0.0), 40.0
 GLOSS = np.array([0.25, 0.18, 0.10])  # of a highlight, added to the colour
 
 
 def room(by: tuple[float, float, float] = (0, 0, 0), turn: float = 0.0) -> tuple[Gaussians, np.ndarray, np.ndarray]:
-    """The furnished room without shadows, the teddy moved and turned in it; its rows, and where it stands."""
-    things = []
-    for name, build, at, yaw, pitch in INVENTORY:
-        there = (np.add(at, by), yaw + turn) if name == TEDDY else (at, yaw)
-        things.append((name, placed(build(COARSE), tuple(there[0]), there[1], pitch)))
-    counts = [sum(len(part.colors) for part in thing) for _, thing in things]
-    gaussians = _splats([part for _, thing in things for part in thing], np.random.default_rng(0))
-    number = [name for name, *_ in INVENTORY].index(TEDDY)
-    rows = np.arange(sum(counts[:number]), sum(counts[: number + 1]))
-    return glossy(gaussians, rows, turn), rows, np.add(INVENTORY[number][2], by)
+    """The furnished room, the teddy moved and turned in it; its rows, and where it stands."""
+    made = build_room(COARSE, {TEDDY: (by, turn)})
+    rows = np.flatnonzero(made.members(TEDDY))
+    return glossy(made.gaussians, rows, turn), rows, np.add(INVENTORY[TEDDY][0], by)
 
 
 def glossy(gaussians: Gaussians, rows: np.ndarray, turn: float) -> Gaussians:
@@ -97,7 +90,7 @@ def test_harmonics_have_to_turn_with_it():
 
 @pytest.mark.slow
 def test_the_floor_is_whole_again():
-    """The rug and the floor below the teddy were there all along: without it and with its hole filled it looks so."""
+    """The floor below the teddy was there all along: without it and with its hole filled it looks so."""
     scene, rows, _ = room()
     kept = edited(scene, [Edit(Rows.of(rows), Remove())])
     beside = (np.abs(scene.means[rows] - scene.means[rows].mean(axis=0))[:, :2] < 0.12).all(axis=1)

@@ -365,15 +365,15 @@ def test_query_in_words(room, story, locate):
 
 
 def test_query_that_finds_nothing_says_so(room, locate):
-    nothing = locate.plus("--scene", room / "scene.ply")
-    answer = nothing("elephant")
+    scene = ("--scene", room / "scene.ply")
+    answer = locate("elephant", *scene)
     assert (answer["num_matches"], answer["matches"], answer["num_selected"]) == (0, [], 0)
     assert answer["instead"]
-    text = nothing.text("elephant")
+    text = locate.text("elephant", *scene)
     assert text.startswith("No match for 'elephant'. The best place has a cosine of ")
     assert f"below the threshold of 0.60. Words that match here: {', '.join(answer['instead'])}." in text
     for word in answer["instead"]:
-        assert nothing(word)["instead"] == []
+        assert locate(word, *scene)["instead"] == []
 
 
 def test_query_by_relevancy(room, tmp_path, locate):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from command_line import answer_of, error_of, text_of
+from command_line import Capture, Line, answer_of, error_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
 from drsplat.errors import pip_install
@@ -73,13 +73,14 @@ def _points(count: int = 500) -> list[tuple[int, tuple[float, ...], tuple[int, i
 @pytest.fixture(scope="module")
 def scanned(capture_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole") / "room"
-    assert (
-        main(
-            ["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; something blue", "--json"]
-        )
-        == 0
-    )
+    line = ["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; something blue"]
+    assert main([*line, "--json"]) == 0
     return folder
+
+
+@pytest.fixture
+def scan(capture_folder: Path, capsys: Capture) -> Line:
+    return Line(capsys, "scan", capture_folder, "-o")
 
 
 @pytest.fixture
@@ -95,9 +96,8 @@ def results(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in files if file.is_file()}
 
 
-def test_a_scan_of_a_capture_says_what_it_made(copy, capture_folder, capsys):
-    line = ["scan", capture_folder, "-o", copy, *QUICK, "--ask", "something red", "--ask", "xyzzy"]
-    answer = answer_of(capsys, *line)
+def test_a_scan_of_a_capture_says_what_it_made(copy, scan):
+    answer = scan(copy, *QUICK, "--ask", "something red", "--ask", "xyzzy")
     assert (answer["num_photos"], answer["num_registered"], answer["left_out"]) == (NUM_PHOTOS, NUM_PHOTOS, [])
     assert answer["psnr_test"] > 10
     assert answer["num_gaussians"] == load_field(answer["field"]).num_gaussians > 100
@@ -134,8 +134,8 @@ def test_the_page_turns_when_it_is_opened_and_needs_nothing_else(scanned):
         ("mug, not", "expected words and their exclusions"),
     ],
 )
-def test_words_that_no_scene_could_answer_are_refused_before_the_training(ask, said, capture_folder, tmp_path, capsys):
-    assert said in error_of(capsys, "scan", capture_folder, "-o", tmp_path / "room", *QUICK, "--ask", ask)
+def test_words_that_no_scene_could_answer_are_refused_before_the_training(ask, said, tmp_path, scan):
+    assert said in scan.error(tmp_path / "room", *QUICK, "--ask", ask)
     assert not (tmp_path / "room/model").exists()
 
 
@@ -161,29 +161,29 @@ def test_photos_like_the_rooms_of_the_training_may_be_asked_for_things():
     assert clip.nouns_of(["xyzzy"]) == ["xyzzy"]
 
 
-def test_a_finished_scan_is_not_made_again(scanned, capture_folder, capsys):
+def test_a_finished_scan_is_not_made_again(scanned, scan):
     before = {path: path.stat().st_mtime_ns for path in (scanned / "scene.field").iterdir()}
-    text = text_of(capsys, "scan", capture_folder, "-o", scanned, *QUICK, "--ask", "something red; something blue")
+    text = scan.text(scanned, *QUICK, "--ask", "something red; something blue")
     assert f"Open {scanned / 'index.html'} in a browser" in text
     assert before == {path: path.stat().st_mtime_ns for path in (scanned / "scene.field").iterdir()}
 
 
-def test_other_queries_make_only_the_page_anew(copy, capture_folder, capsys):
+def test_other_queries_make_only_the_page_anew(copy, scan):
     before = results(copy)
-    answer = answer_of(capsys, "scan", capture_folder, "-o", copy, *QUICK, "--ask", "something blue")
+    answer = scan(copy, *QUICK, "--ask", "something blue")
     assert [one["query"] for one in answer["answers"]] == ["something blue"]
     after = results(copy)
     assert {name for name in after if after[name] != before[name]} == {"index.html"}
 
 
 @pytest.mark.slow
-def test_other_options_are_refused_and_made_with_overwrite(copy, capture_folder, capsys):
-    line = ["scan", capture_folder, "-o", copy, "--iterations", "50", "--threads", "1", *MODELS]
-    error = error_of(capsys, *line)
+def test_other_options_are_refused_and_made_with_overwrite(copy, scan):
+    again = scan.plus(copy, "--iterations", "50", "--threads", "1", *MODELS)
+    error = again.error()
     assert "iterations was 40, now 50" in error
     assert "--overwrite" in error
     features = (copy / "features/embedding.json").stat().st_mtime_ns
-    answer = answer_of(capsys, *line, "--overwrite")
+    answer = again("--overwrite")
     assert answer["num_gaussians"] > 0
     assert list((copy / "model/point_cloud").iterdir()) == [copy / "model/point_cloud/iteration_50"]
     record = read_scan_record(copy)
@@ -199,13 +199,11 @@ def test_other_photos_are_refused(copy, capture_folder, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_file_of_options_has_a_table_for_each_verb(
-    capture_folder, tmp_path, capsys
-):  # fmt: skip
+def test_a_file_of_options_has_a_table_for_each_verb(tmp_path, scan):
     config = tmp_path / "scan.toml"
     lines = '[scan]\niterations = 30\n[train]\nsh-degree = 1\n[embed]\nsegmenter = "graph"\nencoder = "drsplat-mini"\n'
     config.write_text(lines)
-    answer_of(capsys, "scan", capture_folder, "-o", tmp_path / "room", "--config", config)
+    scan(tmp_path / "room", "--config", config)
     record = read_scan_record(tmp_path / "room")
     assert record["stages"]["train"]["options"]["sh-degree"] == [["1"]]
     assert record["stages"]["train"]["options"]["iterations"] == [["30"]]
@@ -224,10 +222,9 @@ def test_a_file_of_options_has_a_table_for_each_verb(
         ("[embed]\npoints = 16", "leave out --points"),
     ],
 )
-def test_a_file_of_options_with_a_slip_is_refused_before_any_work(text, said, capture_folder, tmp_path, capsys):
+def test_a_file_of_options_with_a_slip_is_refused_before_any_work(text, said, tmp_path, scan):
     (tmp_path / "scan.toml").write_text(text)
-    line = ["scan", capture_folder, "-o", tmp_path / "room", *MODELS, "--config", tmp_path / "scan.toml"]
-    assert said in error_of(capsys, *line)
+    assert said in scan.error(tmp_path / "room", *MODELS, "--config", tmp_path / "scan.toml")
     assert not (tmp_path / "room/model").exists()
 
 
@@ -314,13 +311,11 @@ def test_photos_without_colmap_say_what_to_install(tmp_path, monkeypatch, capsys
     assert pip_install("capture") in error_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room")
 
 
-def test_a_folder_with_other_things_in_it_is_left_alone(capture_folder, tmp_path, capsys):
+def test_a_folder_with_other_things_in_it_is_left_alone(capture_folder, tmp_path, scan):
     (tmp_path / "room").mkdir()
     (tmp_path / "room/diary.txt").write_text("mine")
-    assert "diary.txt, which drsplat scan did not make" in error_of(
-        capsys, "scan", capture_folder, "-o", tmp_path / "room"
-    )
-    assert "is what is scanned" in error_of(capsys, "scan", capture_folder, "-o", capture_folder)
+    assert "diary.txt, which drsplat scan did not make" in scan.error(tmp_path / "room")
+    assert "is what is scanned" in scan.error(capture_folder)
     assert os.listdir(tmp_path / "room") == ["diary.txt"]
 
 
@@ -331,7 +326,7 @@ def test_inputs_that_are_none_are_named(tmp_path, capsys):
     assert not (tmp_path / "r").exists()
 
 
-def test_a_damaged_record_is_named(copy, capture_folder, capsys):
+def test_a_damaged_record_is_named(copy, capsys, scan):
     for text in (
         "{",
         "[]",
@@ -339,7 +334,7 @@ def test_a_damaged_record_is_named(copy, capture_folder, capsys):
         json.dumps({"format": "drsplat scan", "version": 1}),
     ):
         (copy / "scan.json").write_text(text)
-        assert "scan.json" in error_of(capsys, "scan", capture_folder, "-o", copy, *QUICK)
+        assert "scan.json" in scan.error(copy, *QUICK)
         assert "scan.json" in error_of(capsys, "locate", copy, "something red")
 
 

@@ -109,7 +109,13 @@ def test_clicks_say_what_they_need(room, capsys):
     assert "exactly one of" in error_of(capsys, "locate", field, "mug", *both)
 
 
-CLASSES = {"sofa": "green sofa", "cat": "grey cat", "table": "wooden table", "elephant": None, "teddy": "brown teddy"}
+CLASSES = {
+    "sofa": "green sofa",
+    "cat": "grey cat",
+    "wooden table": "wooden table",
+    "elephant": None,
+    "teddy": "brown teddy",
+}
 
 
 def test_segment_labels_and_colours(room, story, tmp_path, capsys):

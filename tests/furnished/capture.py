@@ -7,11 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.drawing.rendering import render
-from drsplat.field.codes import Track, untracked
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.replacing import replacing
-from drsplat.kernels import splat_arrays
 from drsplat.scene.views import View
 
 from .masks import MaskMaker
@@ -20,25 +18,20 @@ from .room import Room
 BACKGROUND = (0.93, 0.94, 0.95)
 
 
-def write_capture(
-    folder: Path, room: Room, views: Sequence[View], masks: MaskMaker, *, overwrite: bool = False,
-    track: Track = untracked, threads: int = 0,
-) -> None:  # fmt: skip
+def write_capture(folder: Path, room: Room, views: Sequence[View], masks: MaskMaker) -> None:
     """scene.ply; images/; sparse/0/ (COLMAP text); language_features/ (LangSplat, one level)."""
     for name in ("images", "sparse/0", "language_features"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    write_gaussians(folder / "scene.ply", room.gaussians, overwrite=overwrite)
-    write_model(folder / "sparse/0", views, overwrite=overwrite)
-    splats = splat_arrays(room.gaussians)
-    for view in track(views, "taking photos"):
-        photo = render(room.gaussians, view, background=BACKGROUND, splats=splats, threads=threads).rgb
-        write_picture(folder / "images" / view.name, as_pixels(photo), overwrite)
+        (folder / name).mkdir(parents=True)
+    write_gaussians(folder / "scene.ply", room.gaussians)
+    write_model(folder / "sparse/0", views)
+    for view in views:
+        photo = render(room.gaussians, view, background=BACKGROUND).rgb
+        write_picture(folder / "images" / view.name, as_pixels(photo), overwrite=False)
         seen = masks.features(view)
-        stem = Path(view.name).stem
-        write_features(folder / "language_features", stem, seen.mask_ids, seen.embeddings, overwrite)
+        write_features(folder / "language_features", Path(view.name).stem, seen.mask_ids, seen.embeddings)
 
 
-def write_model(folder: Path, views: Sequence[View], overwrite: bool = False) -> None:
+def write_model(folder: Path, views: Sequence[View]) -> None:
     """A COLMAP text model without points.
 
     Source: https://colmap.github.io/format.html
@@ -46,7 +39,7 @@ def write_model(folder: Path, views: Sequence[View], overwrite: bool = False) ->
     cameras = [_camera_line(index, view) for index, view in enumerate(views, 1)]
     images = [_image_lines(index, view) for index, view in enumerate(views, 1)]
     for name, lines in (("cameras.txt", cameras), ("images.txt", images), ("points3D.txt", [])):
-        with replacing(folder / name, overwrite) as file:
+        with replacing(folder / name) as file:
             file.write("".join(lines).encode())
 
 

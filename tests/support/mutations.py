@@ -52,57 +52,57 @@ def survivors(path: Path, read: Callable[[Path], object], rng: np.random.Generat
     return survived
 
 
-def truncate(data: bytes, rng: np.random.Generator) -> bytes:
+def truncate(data, rng):
     return data[: _at(data, rng)]
 
 
-def clip_the_end(data: bytes, rng: np.random.Generator) -> bytes:
+def clip_the_end(data, rng):
     return data[: -int(rng.integers(1, 9))]
 
 
-def append(data: bytes, rng: np.random.Generator) -> bytes:
+def append(data, rng):
     return data + rng.bytes(int(rng.integers(1, 64)))
 
 
-def flip_bits(data: bytes, rng: np.random.Generator) -> bytes:
+def flip_bits(data, rng):
     changed = bytearray(data)
     for _ in range(int(rng.integers(1, 9)) if data else 0):
         changed[_at(data, rng)] ^= 1 << int(rng.integers(8))
     return bytes(changed)
 
 
-def flip_bits_of_the_head(data: bytes, rng: np.random.Generator) -> bytes:
+def flip_bits_of_the_head(data, rng):
     return flip_bits(data[:64], rng) + data[64:]
 
 
-def fill(data: bytes, rng: np.random.Generator) -> bytes:
+def fill(data, rng):
     """A run of zeros or ones: zero quaternions, NaN of all bits."""
     length = int(rng.integers(1, 65))
     return _over(data, _at(data, rng), bytes([int(rng.choice([0, 255, 128]))]) * length)
 
 
-def scramble(data: bytes, rng: np.random.Generator) -> bytes:
+def scramble(data, rng):
     return _over(data, _at(data, rng), rng.bytes(int(rng.integers(1, 65))))
 
 
-def plant_float(data: bytes, rng: np.random.Generator) -> bytes:
+def plant_float(data, rng):
     code = str(rng.choice(["<f", ">f", "<d", ">d"]))
     return _over(data, _at(data, rng), struct.pack(code, FLOATS[rng.integers(len(FLOATS))]))
 
 
-def plant_count(data: bytes, rng: np.random.Generator) -> bytes:
+def plant_count(data, rng):
     """A count that promises too much, or nothing, among the first bytes."""
     size, order = int(rng.choice([1, 2, 4, 8])), str(rng.choice(["little", "big"]))
     value = int(COUNTS[rng.integers(len(COUNTS))]) % 256**size
     return _over(data, _at(data[:96], rng), value.to_bytes(size, order))  # type: ignore[arg-type]
 
 
-def delete(data: bytes, rng: np.random.Generator) -> bytes:
+def delete(data, rng):
     start = _at(data, rng)
     return data[:start] + data[start + int(rng.integers(1, 65)) :]
 
 
-def splice(data: bytes, rng: np.random.Generator) -> bytes:
+def splice(data, rng):
     """A piece of the file once more, somewhere else."""
     start = _at(data, rng)
     piece = data[start : start + int(rng.integers(1, 257))]
@@ -110,19 +110,19 @@ def splice(data: bytes, rng: np.random.Generator) -> bytes:
     return data[:target] + piece + data[target:]
 
 
-def edit_number(data: bytes, rng: np.random.Generator) -> bytes:
+def edit_number(data, rng):
     """Another number in place of one written as text."""
     return _edit_word(data, rng, _words(data, rng, b"0123456789.-"), NUMBERS)
 
 
-def edit_word(data: bytes, rng: np.random.Generator) -> bytes:
+def edit_word(data, rng):
     """A word of the file's own in place of another."""
     letters = b"abcdefghijklmnopqrstuvwxyz_0123456789"
     words = _words(data, rng, letters)
     return _edit_word(data, rng, words, [data[a:b] for a, b in words] or [b""])
 
 
-def edit_line(data: bytes, rng: np.random.Generator) -> bytes:
+def edit_line(data, rng):
     """A line left out, doubled, or exchanged with the next."""
     lines = data.split(b"\n", 64)
     i = int(rng.integers(len(lines)))
@@ -136,7 +136,7 @@ def edit_line(data: bytes, rng: np.random.Generator) -> bytes:
     return b"\n".join(lines)
 
 
-def inside_gzip(data: bytes, rng: np.random.Generator) -> bytes:
+def inside_gzip(data, rng):
     """Damage under an intact gzip wrapping, where checksums no longer catch it."""
     inner = _gunzip(data)
     if inner is None:
@@ -145,7 +145,7 @@ def inside_gzip(data: bytes, rng: np.random.Generator) -> bytes:
     return gzip.compress(simple[rng.integers(len(simple))](inner, rng), 1, mtime=0)
 
 
-def bomb(data: bytes, rng: np.random.Generator) -> bytes:
+def bomb(data, rng):
     """A compressed stream that unfolds to 64 MiB, alone or behind the file's own beginning."""
     kinds = bombs()
     return data[: int(rng.choice([0, 0, 16, 32, 48, 112]))] + kinds[rng.integers(len(kinds))]

@@ -30,6 +30,9 @@ class Rogue:
     def one(self, choices: tuple) -> object:
         return choices[self.rng.integers(len(choices))]
 
+    def count(self, *choices: int) -> int:
+        return int(self.one(choices))
+
     def isa(self) -> str:
         names = (*_native.available_isas(), "")
         return str(self.one(names) if self.rng.random() < 0.98 else "no such")
@@ -80,7 +83,7 @@ def camera(rogue: Rogue, width: int, height: int) -> np.ndarray:
 
 
 def scene(rogue: Rogue) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    n = int(rogue.one(COUNTS))
+    n = rogue.count(*COUNTS)
     means = rogue.rng.standard_normal((3, n)).astype(np.float32) * rogue.one((1.0, 1e6))
     means[2] += rogue.one((0, 3, 100))
     axes = rogue.rng.standard_normal((n, 3, 3)) * rogue.one((1e-2, 0.1, 10.0, 1e6, 1e10))
@@ -92,22 +95,22 @@ def scene(rogue: Rogue) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
 
 
 def weights(rogue: Rogue) -> Call:
-    width, height = int(rogue.one(SIDES)), int(rogue.one(SIDES))
-    masks = rogue.whole(-2, int(rogue.one((1, 5, 300))), (height, width), "i4")
+    width, height = rogue.count(*SIDES), rogue.count(*SIDES)
+    masks = rogue.whole(-2, rogue.count(1, 5, 300), (height, width), "i4")
     seen = *scene(rogue), camera(rogue, width, height), masks
     return partial(_native.view_weights, *seen, rogue.one(LIMITS), rogue.one(LIMITS), *rogue.how())
 
 
 def contributions(rogue: Rogue) -> Call:
-    width, height = (int(rogue.one((*SIDES, 0, -1, 65536, 65537))), int(rogue.one((1, 16, 16, 17, 0, -5))))
+    width, height = (rogue.count(*SIDES, 0, -1, 65536, 65537), rogue.count(1, 16, 16, 17, 0, -5))
     topk = rogue.one((1, 2, 3, 16, 40, 0, -1, 2**31))
     seen = *scene(rogue), camera(rogue, width, height), width, height
     return partial(_native.topk_contributions, *seen, topk, rogue.one(LIMITS), *rogue.how())
 
 
 def rendering(rogue: Rogue) -> Call:
-    width, height = int(rogue.one(SIDES)), int(rogue.one(SIDES))
-    splats, channels = scene(rogue), int(rogue.one((0, 1, 3, 4, 16, 17, 33)))
+    width, height = rogue.count(*SIDES), rogue.count(*SIDES)
+    splats, channels = scene(rogue), rogue.count(0, 1, 3, 4, 16, 17, 33)
     count = len(splats[2]) if isinstance(splats[2], np.ndarray) and splats[2].ndim else 1
     values = rogue.floats(count, channels), rogue.floats(channels)
     seen = *splats, camera(rogue, width, height), width, height
@@ -115,14 +118,14 @@ def rendering(rogue: Rogue) -> Call:
 
 
 def colors(rogue: Rogue) -> Call:
-    n, k = int(rogue.one(COUNTS)), int(rogue.one((0, 1, 4, 9, 16, 25)))
+    n, k = rogue.count(*COUNTS), rogue.count(0, 1, 4, 9, 16, 25)
     arrays = rogue.floats(n, k, 3), rogue.floats(n, 3), rogue.floats(3)
     return partial(_native.sh_colors, *arrays, *rogue.how())
 
 
 def scan(rogue: Rogue) -> Call:
-    n, length = int(rogue.one((0, 1, 255, 256, 257, 1000))), int(rogue.one((1, 2, 7, 16, 128)))
-    queries, coarse = int(rogue.one((0, 1, 1, 5, 17))), int(rogue.one((0, 1, 3, 1024)))
+    n, length = rogue.count(0, 1, 255, 256, 257, 1000), rogue.count(1, 2, 7, 16, 128)
+    queries, coarse = rogue.count(0, 1, 1, 5, 17), rogue.count(0, 1, 3, 1024)
     codes = rogue.whole(0, 256, (-(-n // 256), length, 256), "u1")
     ids = rogue.whole(0, 65536, (n,), "u2") if coarse else None
     rows = codes, rogue.floats(n), ids
@@ -144,18 +147,18 @@ def _scan_above(floor: np.ndarray | None, *given: tuple) -> object:
 
 
 def look_up_tables(rogue: Rogue) -> Call:
-    length, dim = int(rogue.one((0, 1, 4, 128))), int(rogue.one((0, 1, 3, 64)))
-    arrays = rogue.floats(length, dim, 256), rogue.floats(int(rogue.one((0, 1, 5))), length * dim)
+    length, dim = rogue.count(0, 1, 4, 128), rogue.count(0, 1, 3, 64)
+    arrays = rogue.floats(length, dim, 256), rogue.floats(rogue.count(0, 1, 5), length * dim)
     return partial(_native.lookup_tables, *arrays, *rogue.how())
 
 
 def mixture(rogue: Rogue) -> Call:
-    n, k = int(rogue.one((0, 1, 63, 64, 65, 1000))), int(rogue.one((0, 1, 2, 4, 16, 17)))
-    atoms, dim = int(rogue.one((0, 1, 5, 300, 5000))), int(rogue.one((1, 3, 16, 33, 512)))
+    n, k = rogue.count(0, 1, 63, 64, 65, 1000), rogue.count(0, 1, 2, 4, 16, 17)
+    atoms, dim = rogue.count(0, 1, 5, 300, 5000), rogue.count(1, 3, 16, 33, 512)
     blocks = -(-n // 64), k, 64
     rows = rogue.whole(0, 65536, blocks, "u2"), rogue.whole(0, 256, blocks, "u1")
     parts = *rows, rogue.whole(0, 65536, (n,), "u2"), *dictionary(rogue, atoms, dim)
-    one, many = rogue.floats(dim), rogue.floats(int(rogue.one((0, 1, 5, 130, 300))), dim)
+    one, many = rogue.floats(dim), rogue.floats(rogue.count(0, 1, 5, 130, 300), dim)
     call = rogue.one(
         (
             partial(_native.mixture_scores, parts, many),
@@ -172,8 +175,8 @@ def dictionary(rogue: Rogue, atoms: int, dim: int) -> tuple[np.ndarray, np.ndarr
 
 
 def encoding(rogue: Rogue) -> Call:
-    n, atoms = int(rogue.one((0, 1, 17, 200))), int(rogue.one((0, 1, 5, 300)))
-    dim, further = int(rogue.one((1, 3, 6, 16, 512))), int(rogue.one((0, 1, 5, 64, 65)))
+    n, atoms = rogue.count(0, 1, 17, 200), rogue.count(0, 1, 5, 300)
+    dim, further = rogue.count(1, 3, 6, 16, 512), rogue.count(0, 1, 5, 64, 65)
     starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, rogue.one((1, 5, 80)), n))])
     arrays = (
         *dictionary(rogue, atoms, dim),
@@ -186,19 +189,19 @@ def encoding(rogue: Rogue) -> Call:
 
 
 def neighbours(rogue: Rogue) -> Call:
-    n, dim = int(rogue.one((0, 1, 17, 500))), int(rogue.one((1, 3, 16, 512)))
+    n, dim = rogue.count(0, 1, 17, 500), rogue.count(1, 3, 16, 512)
     points = rogue.floats(n, dim)
     if rogue.rng.random() < 0.5:
-        centres = rogue.floats(int(rogue.one((0, 1, 7, 100))), dim)
+        centres = rogue.floats(rogue.count(0, 1, 7, 100), dim)
         return partial(_native.nearest_centres, points, centres, *rogue.how())
-    groups, size = int(rogue.one((0, 1, 4))), int(rogue.one((0, 1, 5, 64, 70)))
+    groups, size = rogue.count(0, 1, 4), rogue.count(0, 1, 5, 64, 70)
     members = rogue.whole(0, groups, (n,), "i4"), rogue.whole(0, 50, (groups, size), "i4")
     given = *dictionary(rogue, 50, dim), points, *members, rogue.one((0, 1, 5, 64, 65))
     return partial(_native.nearest_members, *given, *rogue.how())
 
 
 def rows(rogue: Rogue) -> Call:
-    n, m, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 50))), int(rogue.one((0, 1, 33, 512))))
+    n, m, dim = (rogue.count(0, 1, 17, 300), rogue.count(0, 1, 50), rogue.count(0, 1, 33, 512))
     starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 9, n))])
     entries = rogue.whole(0, m, (starts[-1],), "i4"), rogue.floats(starts[-1])
     given = rogue.spoiled(starts.astype(np.int64)), *entries, rogue.floats(m, dim)
@@ -206,37 +209,37 @@ def rows(rogue: Rogue) -> Call:
 
 
 def dense(rogue: Rogue) -> Call:
-    n, k, m = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 33))), int(rogue.one((0, 16, 32, 33))))
+    n, k, m = (rogue.count(0, 1, 17, 300), rogue.count(0, 1, 33), rogue.count(0, 16, 32, 33))
     return partial(_native.dense_rows, rogue.floats(n, k), rogue.floats(k, m), *rogue.how())
 
 
 def keeping(rogue: Rogue) -> Call:
-    n, kept, more = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((1, 9, 256, 257, 0))), int(rogue.one((0, 1, 8))))
+    n, kept, more = (rogue.count(0, 1, 17, 300), rogue.count(1, 9, 256, 257, 0), rogue.count(0, 1, 8))
     given = rogue.floats(kept, n), rogue.whole(0, 9, (kept, n), "u2"), rogue.floats(more, n)
     return partial(_native.keep_best, *given, rogue.one((0, 8, 65535, 65536, 2**63, -1)), *rogue.how())
 
 
 def convolution(rogue: Rogue) -> Call:
-    n, side, c, o = (int(rogue.one(sizes)) for sizes in ((0, 1, 5), (0, 1, 9), (0, 1, 3), (0, 16, 32, 48, 33)))
-    images = rogue.floats(n, side, int(rogue.one((0, 1, 9))), c)
-    stride = int(rogue.one((1, 1, 2, 3, 2**31 - 1, 0, -1)))
+    n, side, c, o = (rogue.count(*sizes) for sizes in ((0, 1, 5), (0, 1, 9), (0, 1, 3), (0, 16, 32, 48, 33)))
+    images = rogue.floats(n, side, rogue.count(0, 1, 9), c)
+    stride = rogue.count(1, 1, 2, 3, 2**31 - 1, 0, -1)
     return partial(_native.convolve, images, rogue.floats(9 * c, o), rogue.floats(o), stride, *rogue.how())
 
 
 def sums_of_codes(rogue: Rogue) -> Call:
-    n, parts, dim = int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 17))), int(rogue.one((0, 1, 4)))
+    n, parts, dim = rogue.count(0, 1, 17, 300), rogue.count(0, 1, 17), rogue.count(0, 1, 4)
     codes = rogue.whole(0, 256, (n, parts), "u1")
     return partial(_native.code_sums, rogue.floats(n, parts * dim), codes, rogue.how()[0])
 
 
 def labels(rogue: Rogue) -> Call:
-    h, w, n = (int(rogue.one(sizes)) for sizes in ((0, 1, 17, 70), (0, 1, 17, 70), (1, 17, 70)))
+    h, w, n = (rogue.count(*sizes) for sizes in ((0, 1, 17, 70), (0, 1, 17, 70), (1, 17, 70)))
     ids = rogue.whole(-1, n, (h, w, 8), "i4")
     return partial(_native.heaviest_labels, ids, rogue.floats(h, w, 8), rogue.whole(-1, 9, (n,), "i4"), rogue.how()[0])
 
 
 def columns(rogue: Rogue) -> Call:
-    n, m = (int(rogue.one((0, 1, 17, 300))) for _ in range(2))
+    n, m = (rogue.count(0, 1, 17, 300) for _ in range(2))
     matrices = []
     for _ in range(2):
         starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 9, n))])
@@ -247,7 +250,7 @@ def columns(rogue: Rogue) -> Call:
 
 
 def boxes(rogue: Rogue) -> Call:
-    n, sets = int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 5)))
+    n, sets = rogue.count(0, 1, 17, 300), rogue.count(0, 1, 5)
     starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(rogue.one((0, 1)), 9, sets))])
     solids = rogue.floats(n, 3), rogue.floats(n, 4), rogue.floats(n, 3), rogue.floats(n)
     members = rogue.spoiled(starts.astype(np.int64)), rogue.whole(0, n, (starts[-1],), "i8")
@@ -257,11 +260,11 @@ def boxes(rogue: Rogue) -> Call:
 
 
 def merges(rogue: Rogue) -> Call:
-    n, m, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 50))), int(rogue.one((0, 1, 6))))
+    n, m, dim = (rogue.count(0, 1, 17, 300), rogue.count(0, 1, 50), rogue.count(0, 1, 6))
     starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 4 if m else 1, n))])
     columns = np.concatenate([np.arange(k) for k in np.diff(starts)], dtype="i4") if n else np.zeros(0, "i4")
     votes = rogue.spoiled(starts.astype(np.int64)), rogue.spoiled(columns), rogue.floats(starts[-1])
-    edges = np.sort(rogue.rng.integers(0, max(n, 1), (int(rogue.one((0, 1, 500))), 2)), axis=1).astype("i4")
+    edges = np.sort(rogue.rng.integers(0, max(n, 1), (rogue.count(0, 1, 500), 2)), axis=1).astype("i4")
     given = (
         *votes,
         np.arange(m, dtype="i4") // 7,
@@ -274,17 +277,17 @@ def merges(rogue: Rogue) -> Call:
 
 
 def photos(rogue: Rogue) -> Call:
-    height, width = int(rogue.one((0, 1, 2, 33))), int(rogue.one((1, 5, 40)))
+    height, width = rogue.count(0, 1, 2, 33), rogue.count(1, 5, 40)
     if rogue.rng.random() < 0.5:
-        image = rogue.whole(0, 256, (height, width, int(rogue.one((3, 3, 3, 2)))), "u1")
-        widths = [12, *(int(rogue.one((1, 5, 16))) for _ in range(7))]
+        image = rogue.whole(0, 256, (height, width, rogue.count(3, 3, 3, 2)), "u1")
+        widths = [12, *(rogue.count(1, 5, 16) for _ in range(7))]
         inputs = [9 * n for n in widths[:5]] + [9 * (widths[3] + widths[5]), 9 * widths[6], widths[7]]
-        shapes = zip(inputs, [*widths[1:], int(rogue.one((36, 36, 36, 37)))], strict=True)
+        shapes = zip(inputs, [*widths[1:], rogue.count(36, 36, 36, 37)], strict=True)
         layers = tuple(rogue.floats(*part) for shape in shapes for part in (shape, shape[1:]))
         how = rogue.how()
         return rogue.one((partial(_native.look, image, layers, *how), partial(_native.lab_colors, image, *how)))
     lab, borders = rogue.whole(-2000, 2000, (height, width, 3), "i4"), rogue.whole(0, 256, (height, width), "i4")
-    labels = rogue.whole(0, int(rogue.one((1, 3, 300))), (height, width), "i4")
+    labels = rogue.whole(0, rogue.count(1, 3, 300), (height, width), "i4")
     seen = labels, lab, borders, rogue.whole(-4000, 4000, (height, width, 8), "i4")
     scale, least = rogue.one((0.0, 15.0, 1e30, np.nan, -1.0)), rogue.one(LIMITS)
     small, graph = partial(_native.small_regions, lab, scale, least), partial(_native.photo_graph, *seen)
@@ -292,8 +295,8 @@ def photos(rogue: Rogue) -> Call:
 
 
 def things(rogue: Rogue) -> Call:
-    n, units = int(rogue.one((0, 1, 2, 20, 60))), int(rogue.one((0, 1, 8, 9, 56)))
-    ends = np.sort(rogue.rng.integers(0, max(n, 1), (int(rogue.one((0, 1, 50, 200))), 2)), axis=1)
+    n, units = rogue.count(0, 1, 2, 20, 60), rogue.count(0, 1, 8, 9, 56)
+    ends = np.sort(rogue.rng.integers(0, max(n, 1), (rogue.count(0, 1, 50, 200), 2)), axis=1)
     pairs = np.unique(ends[ends[:, 0] < ends[:, 1]], axis=0).astype("i4")
     sums = rogue.rng.integers(0, rogue.one((1, 2, 300)), (n, 55)).astype(float)
     borders = rogue.rng.integers(0, rogue.one((2, 90)), (len(pairs), 5)).astype(float)
@@ -308,14 +311,14 @@ def things(rogue: Rogue) -> Call:
 
 
 def codes(rogue: Rogue) -> Call:
-    n, length, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 4, 128))), int(rogue.one((0, 1, 3, 64))))
+    n, length, dim = (rogue.count(0, 1, 17, 300), rogue.count(0, 1, 4, 128), rogue.count(0, 1, 3, 64))
     given = rogue.floats(n, length * dim), rogue.floats(length, 256, dim)
     return partial(_native.pq_encode, *given, *rogue.how())
 
 
 def training(rogue: Rogue) -> Call:
-    n, k = int(rogue.one((0, 1, 15, 16, 17, 300))), int(rogue.one((1, 4, 9, 16)))
-    width, height = int(rogue.one(SIDES)), int(rogue.one(SIDES))
+    n, k = rogue.count(0, 1, 15, 16, 17, 300), rogue.count(1, 4, 9, 16)
+    width, height = rogue.count(*SIDES), rogue.count(*SIDES)
     means = rogue.rng.standard_normal((n, 3)).astype(np.float32) + np.float32([0, 0, 3])
     scales = rogue.rng.uniform(-5, 1, (n, 3)).astype(np.float32)
     scene = rogue.spoiled(means), rogue.spoiled(scales), rogue.floats(n, 4), rogue.floats(n)
@@ -342,13 +345,13 @@ def training(rogue: Rogue) -> Call:
 
 
 def loss(rogue: Rogue) -> Call:
-    width, height = int(rogue.one((0, 1, 5, 16, 17, 100))), int(rogue.one((0, 1, 5, 11, 33)))
+    width, height = rogue.count(0, 1, 5, 16, 17, 100), rogue.count(0, 1, 5, 11, 33)
     images = rogue.floats(height, width, 3), rogue.floats(height, width, 3)
     return partial(_native.photometric_loss, *images, rogue.one((0.2, 1.0, np.nan)), *rogue.how())
 
 
 def optimizer(rogue: Rogue) -> Call:
-    n = int(rogue.one((0, 1, 15, 48, 480, 1000)))
+    n = rogue.count(0, 1, 15, 48, 480, 1000)
     arrays = [rogue.floats(n) for _ in range(4)]
     step, row = rogue.one((1, 100, 0, -1, 2**62)), rogue.one((0, 3, 12, 48, 1, 2**28, 2**32 - 1))
     rates = 1e-3, step, 0.9, 0.999, 1e-15, 1e-3, row
