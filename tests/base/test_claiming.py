@@ -5,14 +5,13 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from command_line import error_of
 from drsplat.base import system
-from drsplat.errors import InputError
 from drsplat.formats.claiming import claimed_folder, claimed_output
+from refusing import refused
 
 HOLD = """
 import sys, time
@@ -32,7 +31,7 @@ def test_another_process_is_refused_until_this_one_is_killed(kind, claim, lock, 
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout.readline() == "held\n"
         said = f"out is being written by process {holder.pid} on "
-        with pytest.raises(InputError, match=said), claim(tmp_path / "out"):
+        with refused(said), claim(tmp_path / "out"):
             pass
         holder.send_signal(signal.SIGKILL)
     assert (tmp_path / lock).is_file()  # stale: it holds nobody up
@@ -59,7 +58,7 @@ def test_it_is_let_go_of_when_the_block_ends_badly(kind, claim, lock, tmp_path):
     with pytest.raises(ZeroDivisionError), claim(tmp_path / "out"):
         raise ZeroDivisionError
     assert not (tmp_path / lock).exists()
-    with claim(tmp_path / "out"), pytest.raises(InputError, match="is being written"), claim(tmp_path / "out"):
+    with claim(tmp_path / "out"), refused("is being written"), claim(tmp_path / "out"):
         pass
 
 
@@ -82,17 +81,13 @@ def test_a_lock_that_was_removed_is_not_held(tmp_path, monkeypatch):
 
 
 def test_what_cannot_be_claimed_is_said(tmp_path):
-    with pytest.raises(InputError, match="there is no folder"), claimed_output(tmp_path / "a/b"):
+    with refused("there is no folder"), claimed_output(tmp_path / "a/b"):
         pass
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="is a file"), claimed_folder(tmp_path / "file"):
+    with refused("is a file"), claimed_folder(tmp_path / "file"):
         pass
     (tmp_path / ".out.lock").write_bytes(b"\xff nonsense")
-    with (
-        claimed_output(tmp_path / "out"),
-        pytest.raises(InputError, match="is being written"),
-        claimed_output(tmp_path / "out"),
-    ):
+    with claimed_output(tmp_path / "out"), refused("is being written"), claimed_output(tmp_path / "out"):
         pass
 
 
@@ -104,7 +99,7 @@ def test_a_lock_that_is_a_link_is_not_followed(kind, claim, lock, tmp_path):
         (tmp_path / lock).symlink_to(kept)
         if kept.name == "kept":
             kept.write_text("precious")
-        with pytest.raises(InputError, match="is a link, a folder or a pipe"), claim(tmp_path / "out"):
+        with refused("is a link, a folder or a pipe"), claim(tmp_path / "out"):
             pass
         (tmp_path / lock).unlink()
     assert (tmp_path / "kept").read_text() == "precious"
@@ -116,7 +111,7 @@ def test_a_lock_that_is_a_link_is_not_followed(kind, claim, lock, tmp_path):
 def test_a_lock_that_is_no_file_is_named(make, kind, claim, lock, tmp_path):
     (tmp_path / lock).parent.mkdir(exist_ok=True)
     make(tmp_path / lock)
-    with pytest.raises(InputError, match="is a link, a folder or a pipe"), claim(tmp_path / "out"):
+    with refused("is a link, a folder or a pipe"), claim(tmp_path / "out"):
         pass
     assert (tmp_path / lock).exists()
 
@@ -125,18 +120,18 @@ def test_a_lock_that_is_no_file_is_named(make, kind, claim, lock, tmp_path):
 def test_a_holder_that_says_nonsense_is_another_process(said, tmp_path):
     with claimed_output(tmp_path / "out"):
         (tmp_path / ".out.lock").write_bytes(said)
-        expected = pytest.raises(InputError, match="is being written by another process")
+        expected = refused("is being written by another process")
         with expected, claimed_output(tmp_path / "out"):
             pass
 
 
-def test_two_registrations_do_not_share_an_output(tmp_path: Path, capsys):
+def test_two_registrations_do_not_share_an_output(tmp_path, capsys):
     with claimed_output(tmp_path / "x.field"):
         said = error_of(capsys, "register", "scene.ply", "capture", "--features", "f", "-o", tmp_path / "x.field")
     assert f"x.field is being written by process {os.getpid()}" in said
 
 
-def test_two_runs_do_not_embed_into_one_folder(tmp_path: Path, capsys):
+def test_two_runs_do_not_embed_into_one_folder(tmp_path, capsys):
     from PIL import Image
 
     (tmp_path / "images").mkdir()

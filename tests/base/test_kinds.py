@@ -7,7 +7,7 @@ import inspect
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import jaxtyping
 import numpy as np
@@ -15,8 +15,8 @@ import pytest
 
 import drsplat as ds
 from drsplat.base.kinds import _annotations, checked
-from drsplat.errors import InputError
 from drsplat.fronts.viewing.session import Session
+from refusing import refused
 from toy_capture import balls, write_toy_capture
 
 
@@ -37,7 +37,7 @@ def doors() -> Iterator[tuple[str, str]]:
 DOORS = list(doors())
 
 
-def test_the_doors_are_those_of_all_public_functions_and_classes() -> None:
+def test_the_doors_are_those_of_all_public_functions_and_classes():
     functions = {name for name in ds.__all__ if inspect.isfunction(getattr(ds, name))}
     made = {"View", "Gaussians", "ViewFeatures", "EncoderIdentity", "TrainingSettings"}
     assert functions | made <= {name for name, _ in DOORS}
@@ -46,17 +46,17 @@ def test_the_doors_are_those_of_all_public_functions_and_classes() -> None:
 
 
 @pytest.mark.parametrize(("name", "parameter"), DOORS)
-def test_another_kind_is_named(name: str, parameter: str) -> None:
-    with pytest.raises(InputError, match=rf"^{name}: {parameter}: expected .+, got Odd$"):
+def test_another_kind_is_named(name, parameter):
+    with refused(rf"^{name}: {parameter}: expected .+, got Odd$"):
         getattr(ds, name)(**{parameter: Odd()})
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def room(tmp_path_factory) -> Path:
     return write_toy_capture(tmp_path_factory.mktemp("kinds"))
 
 
-def test_the_mistakes_that_people_make(room: Path) -> None:
+def test_the_mistakes_that_people_make(room):
     gaussians, views = balls(), ds.read_views(room / "capture")
     features = ds.read_features(room / "capture/language_features", encoder=ds.WordEncoder.identity)
     field = ds.register(gaussians, views, features).to_field()
@@ -81,23 +81,23 @@ def test_the_mistakes_that_people_make(room: Path) -> None:
         ),
     }
     for said, mistake in mistakes.items():
-        with pytest.raises(InputError, match=said):
+        with refused(said):
             mistake()
 
 
 @pytest.mark.parametrize("of", [Annotated, jaxtyping.Float32])
 @pytest.mark.parametrize(("shape", "said"), [("n 3", r"an array \(n 3\) or None"), (" n", r"an array \(n\) or None")])
-def test_arrays_are_named_by_their_shape_whoever_notes_it(of: Any, shape: str, said: str) -> None:
-    def count(points: of[np.ndarray, shape] | None) -> int:
+def test_arrays_are_named_by_their_shape_whoever_notes_it(of, shape, said):
+    def count(points):
         return 0 if points is None else len(points)
 
     door = checked(count)
     assert (door(np.zeros((2, 3), np.float32)), door(None)) == (2, 0)
-    with pytest.raises(InputError, match=f"^count: points: expected {said}, got list of int$"):
+    with refused(f"^count: points: expected {said}, got list of int$"):
         door([1, 2])
 
 
-def test_what_is_right_goes_through(room: Path) -> None:
+def test_what_is_right_goes_through(room):
     gaussians, views = ds.read_gaussians(str(room / "scene.ply")), ds.read_views(room / "capture")
     drawn = ds.render(gaussians, view=views[0], background=[0.0, 0.0, 0.0], select=np.arange(3))
     assert drawn.rgb.shape == (views[0].height, views[0].width, 3)
@@ -107,7 +107,7 @@ def test_what_is_right_goes_through(room: Path) -> None:
         ds.render(gaussians, views[0], colour=3)
 
 
-def test_a_warning_points_at_the_line_of_the_caller(room: Path, request: pytest.FixtureRequest) -> None:
+def test_a_warning_points_at_the_line_of_the_caller(room, request):
     if request.config.getoption("jaxtyping_packages", None):
         pytest.skip("type checkers put frames of their own between")
     features = dict(ds.read_features(room / "capture/language_features"))
@@ -119,7 +119,7 @@ def test_a_warning_points_at_the_line_of_the_caller(room: Path, request: pytest.
     assert [Path(one.filename).name for one in caught] == ["test_kinds.py"]
 
 
-def test_reprs_are_a_line(room: Path) -> None:
+def test_reprs_are_a_line(room):
     gaussians, views = balls(), ds.read_views(room / "capture")
     features = ds.read_features(room / "capture/language_features", encoder=ds.WordEncoder.identity)
     registration = ds.register(gaussians, views, features)

@@ -29,7 +29,7 @@ def line(monkeypatch: pytest.MonkeyPatch, record: object) -> str:
     return pip_install("capture")
 
 
-def test_a_checkout_is_named_by_its_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_checkout_is_named_by_its_folder(monkeypatch, tmp_path):
     checkout = tmp_path / "my checkout"
     checkout.mkdir()
     record = {"url": checkout.as_uri(), "dir_info": {}}
@@ -46,19 +46,19 @@ def test_a_checkout_is_named_by_its_folder(monkeypatch: pytest.MonkeyPatch, tmp_
     ({"url": f"{ADDRESS}.whl", "archive_info": {}}, f"drsplat[capture] @ {ADDRESS}.whl"),
     ({"url": ADDRESS, "vcs_info": {"vcs": "git", "commit_id": "1"}}, f"drsplat[capture] @ git+{ADDRESS}"),
 ])  # fmt: skip
-def test_other_origins(record: object, wanted: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_origins(record, wanted, monkeypatch):
     assert line(monkeypatch, record) == f'pip install "{wanted}"'
 
 
-def test_without_an_installation_it_is_that_of_an_index(monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(name: str) -> None:
+def test_without_an_installation_it_is_that_of_an_index(monkeypatch):
+    def absent(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(importlib.metadata, "distribution", absent)
     assert pip_install("capture") == 'pip install "drsplat[capture]"'
 
 
-def test_no_other_place_knows_the_line() -> None:
+def test_no_other_place_knows_the_line():
     """A second form of it would be wrong for some installation."""
     found = [path for path in (ROOT / "src").rglob("*.py") if 'pip install "drsplat' in path.read_text("utf-8")]
     assert found == []

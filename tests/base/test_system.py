@@ -12,10 +12,10 @@ import pytest
 import drsplat
 from drsplat.base import system
 from drsplat.base.system import peak_memory_bytes
-from drsplat.errors import InputError
 from drsplat.formats.claiming import claimed_output
 from drsplat.formats.replacing import replacing, together
 from drsplat.fronts.serving.listening import require
+from refusing import refused
 
 SOURCE = Path(drsplat.__file__).parent
 MODULES = {"fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "msvcrt", "winreg", "posix", "nt"}
@@ -36,12 +36,12 @@ def asked_for(path: Path) -> set[str]:
 
 
 @pytest.mark.slow
-def test_one_module_asks_which_system_it_is() -> None:
+def test_one_module_asks_which_system_it_is():
     asking = {path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*.py") if asked_for(path)}
     assert asking == {"base/system.py"}
 
 
-def test_peak_memory_counts_bytes() -> None:
+def test_peak_memory_counts_bytes():
     before = peak_memory_bytes()
     block = np.ones(80_000_000, np.uint8)
     assert peak_memory_bytes() >= before
@@ -57,30 +57,29 @@ for _ in Processes(2).results(time.sleep, [0, 0, 600]):
 """
 
 
-def test_workers_end_with_a_killed_parent() -> None:
+def test_workers_end_with_a_killed_parent():
     """One is at work then, and one waits for some. They have its stdout, which ends with the last of them."""
     with subprocess.Popen([sys.executable, "-c", WORKERS], stdout=subprocess.PIPE, text=True) as parent:
-        assert parent.stdout is not None
         assert [parent.stdout.readline() for _ in range(2)] == ["working\n"] * 2
         parent.kill()
         assert parent.communicate(timeout=120)[0] == ""
 
 
-def test_a_process_whose_parent_has_ended_before_it_began_to_look_ends() -> None:
+def test_a_process_whose_parent_has_ended_before_it_began_to_look_ends():
     code = "import time; from drsplat.base.system import end_with; end_with(0); time.sleep(600)"
     assert subprocess.run([sys.executable, "-c", code], timeout=120, check=False).returncode == 1
 
 
 @pytest.fixture
-def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
+def windows(monkeypatch) -> list[tuple[int, int]]:
     """Its rules, as far as they can be had here: other locks, and no new name for an open file."""
-    taken: list[tuple[int, int]] = []
+    taken = []
 
     class Locks:
         LK_NBLCK = 2
 
         @staticmethod
-        def locking(descriptor: int, how: int, length: int) -> None:
+        def locking(descriptor, how, length):
             if taken:
                 raise PermissionError
             taken.append((how, length))
@@ -100,8 +99,8 @@ def open_files(folder: Path) -> list[str]:
     ]
 
 
-def test_a_file_is_closed_before_it_takes_its_name_there(windows, tmp_path, monkeypatch) -> None:
-    seen: list[list[str]] = []
+def test_a_file_is_closed_before_it_takes_its_name_there(windows, tmp_path, monkeypatch):
+    seen = []
     replace = drsplat.formats.replacing.os.replace
     monkeypatch.setattr(
         drsplat.formats.replacing.os, "replace", lambda *names: (seen.append(open_files(tmp_path)), replace(*names))
@@ -115,16 +114,16 @@ def test_a_file_is_closed_before_it_takes_its_name_there(windows, tmp_path, monk
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
 
 
-def test_one_writer_at_a_time_there(windows, tmp_path) -> None:
+def test_one_writer_at_a_time_there(windows, tmp_path):
     with claimed_output(tmp_path / "out"):
         assert windows == [(2, 1)]
         assert json.loads((tmp_path / ".out.lock").read_text())["pid"] > 0
-        with pytest.raises(InputError, match="is being written by process"), claimed_output(tmp_path / "out"):
+        with refused("is being written by process"), claimed_output(tmp_path / "out"):
             pass
     assert not list(tmp_path.iterdir())
 
 
-def test_services_say_that_they_cannot_run_there(monkeypatch) -> None:
+def test_services_say_that_they_cannot_run_there(monkeypatch):
     monkeypatch.setattr(system, "WINDOWS", True)
-    with pytest.raises(InputError, match="WSL"):
+    with refused("WSL"):
         require("serve")

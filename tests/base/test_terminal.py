@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import drsplat
-from command_line import Capture, answer_of, error_of, text_of
+from command_line import answer_of, error_of, text_of
 from drsplat import errors
 from drsplat.base.progress import Meter
 from drsplat.base.terminal import counted, plain, plain_json, quoted
@@ -28,7 +28,7 @@ NAMES = [f"20240212_00401{n}_of_the_long_walk_through_the_house.jpg" for n in ra
 
 
 @given(st.text(st.characters(exclude_categories=())))
-def test_plain_text_has_nothing_that_a_terminal_obeys(text: str) -> None:
+def test_plain_text_has_nothing_that_a_terminal_obeys(text):
     said = plain(text)
     said.encode()
     assert all(letter.isprintable() or letter in "\t\n" or ord(letter) > 0x9F for letter in said)
@@ -36,14 +36,14 @@ def test_plain_text_has_nothing_that_a_terminal_obeys(text: str) -> None:
     assert plain(said) == said
 
 
-def test_what_is_harmless_stays() -> None:
+def test_what_is_harmless_stays():
     assert plain("größer, 赤い, \U0001f34e\n\tnext") == "größer, 赤い, \U0001f34e\n\tnext"
     assert plain("\x1b[2J\u202e") == "\\x1b[2J\\u202e"
     assert plain_json({"a\x07": ["\x1b", Path("x\x1b"), 3]}) == {"a\\x07": ["\\x1b", "x\\x1b", 3]}
     assert quoted("9" * 5000) == f"'{'9' * 60}...'"
 
 
-def test_hostile_names_in_files_and_errors(tmp_path: Path, capsys: Capture) -> None:
+def test_hostile_names_in_files_and_errors(tmp_path, capsys):
     words = tmp_path / "words.json"
     words.write_text(json.dumps({EVIL[:-1]: [1.0, 0.0], "vase": [0.0, 1.0]}))  # no half surrogate: no JSON
     said = text_of(capsys, "inspect", words)
@@ -54,7 +54,7 @@ def test_hostile_names_in_files_and_errors(tmp_path: Path, capsys: Capture) -> N
     assert "\x1b" not in error_of(capsys, "inspect", "x", "--\x1b[2J", code=2)
 
 
-def test_hostile_names_in_progress(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_hostile_names_in_progress(monkeypatch, capsys):
     for name in ("PATIENCE_S", "LINE_EVERY_S"):
         monkeypatch.setattr(f"drsplat.base.progress.{name}", -1.0)
     with Meter("embedding photos", 10) as meter:
@@ -66,7 +66,7 @@ def test_hostile_names_in_progress(monkeypatch: pytest.MonkeyPatch, capsys: Capt
 
 
 @pytest.mark.parametrize("columns", [60, 80])
-def test_a_bar_shows_count_rate_and_time(columns: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_a_bar_shows_count_rate_and_time(columns, monkeypatch, capsys):
     monkeypatch.setattr("drsplat.base.progress.PATIENCE_S", -1.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", str(columns))
@@ -88,7 +88,7 @@ def test_a_bar_shows_count_rate_and_time(columns: int, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("terminal", [False, True])
 @pytest.mark.parametrize("columns", [20, 80])
-def test_tables_cut_nothing(columns: int, terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tables_cut_nothing(columns, terminal, monkeypatch):
     printed = io.StringIO()
     monkeypatch.setattr(printed, "isatty", lambda: terminal, raising=False)
     monkeypatch.setattr(sys, "stdout", printed)
@@ -104,7 +104,7 @@ def test_tables_cut_nothing(columns: int, terminal: bool, monkeypatch: pytest.Mo
     assert "…" not in printed.getvalue()
 
 
-def test_photos_of_a_thing_have_their_line(tmp_path: Path, capsys: Capture) -> None:
+def test_photos_of_a_thing_have_their_line(tmp_path, capsys):
     """And a scene's folder is enough to ask."""
     room = write_toy_capture(tmp_path)
     argv = ["register", room / "scene.ply", room / "capture", "--features", room / "capture/language_features"]
@@ -135,11 +135,11 @@ FLAGS = {"overwrite": "--overwrite", "images": "--images", "encoder": "--encoder
         ("one of field=FIELD, encoder=X,Y,Z and images=N", "one of FIELD, --encoder X,Y,Z and --images N"),
     ],
 )  # fmt: skip
-def test_arguments_are_spelled_as_flags(said: str, shown: str) -> None:
+def test_arguments_are_spelled_as_flags(said, shown):
     assert spelled(said, FLAGS) == shown
 
 
-def test_no_message_of_the_library_names_a_flag() -> None:
+def test_no_message_of_the_library_names_a_flag():
     """Flags are the command line's words; others read these messages too."""
     source = Path(sys.modules["drsplat"].__file__ or "").parent
     own = source / "fronts/commands", source / "cli.py"
@@ -176,7 +176,7 @@ def text_in(node: ast.AST) -> str:
     return " ".join(text_in(part) for part in ast.iter_child_nodes(node) if isinstance(part, ast.expr))
 
 
-def test_every_argument_in_a_message_has_words_of_the_command_line() -> None:
+def test_every_argument_in_a_message_has_words_of_the_command_line():
     """Whatever the library asks for in Python's words, an option of some verb has the same name."""
     parser = make_parser()
     verbs = next(action.choices for action in parser._actions if action.choices)
@@ -193,7 +193,7 @@ def test_every_argument_in_a_message_has_words_of_the_command_line() -> None:
         assert not functions & set(re.findall(r"\w+", shown)), (place, shown)
 
 
-def test_errors_of_the_command_line_speak_its_words(tmp_path: Path, capsys: Capture) -> None:
+def test_errors_of_the_command_line_speak_its_words(tmp_path, capsys):
     room = write_toy_capture(tmp_path)
     text_of(capsys, "train", room / "capture", "-o", room / "m", "--iterations", "1", "--max-gaussians", "20")
     argv = ["train", str(room / "capture"), "--iterations", "1", "-o"]
@@ -205,7 +205,7 @@ def test_errors_of_the_command_line_speak_its_words(tmp_path: Path, capsys: Capt
     assert "--max-gaussians: expected at least 4, got 1" in capsys.readouterr().err
 
 
-def test_what_looks_like_markup_is_shown_as_it_is(capsys: Capture, tmp_path: Path) -> None:
+def test_what_looks_like_markup_is_shown_as_it_is(capsys, tmp_path):
     names = ["[/red]", "[bold]vase", ":warning: cup"]
     show_table("words", names, [names])
     show_facts("words", {"texts": ", ".join(names)})
@@ -216,6 +216,6 @@ def test_what_looks_like_markup_is_shown_as_it_is(capsys: Capture, tmp_path: Pat
     assert all(name in text_of(capsys, "inspect", words) for name in names)
 
 
-def test_plurals() -> None:
+def test_plurals():
     said = [counted(1, "Gaussian"), counted(2, "scene"), counted(1200, "entry", "entries")]
     assert said == ["1 Gaussian", "2 scenes", "1,200 entries"]

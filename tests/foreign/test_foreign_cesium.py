@@ -1,7 +1,6 @@
 """A tileset of ours in CesiumJS, in a real browser: where it lies, which level is loaded, and what is shown."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,14 +31,14 @@ def wall() -> Gaussians:
     means = (rng.uniform(-1, 1, (COUNT, 3)) * [3, 3, 0.05]).astype(np.float32)
     above, left = means[:, 1] < 0, means[:, 0] < 0
     colors = np.where(above[:, None], [0, 1, 0], np.where(left[:, None], [1, 0, 0], [0, 0, 1]))
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (COUNT, 1))
+    quats = np.tile(np.float32([1, 0, 0, 0]), (COUNT, 1))
     scales = np.full((COUNT, 3), 0.15, np.float32)
     sh = ((colors - 0.5) / SH_C0).astype(np.float32)[:, None]
     return Gaussians(means, quats, scales, np.full(COUNT, 0.9, np.float32), sh)
 
 
 @pytest.mark.parametrize(("error", "splats"), [(0.01, COUNT), (100.0, ROWS)])
-def test_cesium_draws_our_tilesets(error: float, splats: int, chromium: Any, tmp_path: Path) -> None:
+def test_cesium_draws_our_tilesets(error, splats, chromium, tmp_path):
     """From the south: what is above is above, west is left. A large error allows for the coarsest level."""
     place = Georeference(8.5, 47.4, 400.0, NORTH_UP, 2.0)
     write_tiles3d(tmp_path / "out", LabelledScene(wall()), georeference=place, rows=ROWS)

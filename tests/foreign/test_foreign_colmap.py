@@ -103,7 +103,7 @@ def assert_same_views(views: list[View], theirs: list[dict[str, Any]]) -> None:
 
 
 @pytest.mark.parametrize("kind", ["binary", "text"])
-def test_models_that_colmap_writes_are_read(kind: str, tmp_path: Path) -> None:
+def test_models_that_colmap_writes_are_read(kind, tmp_path):
     """All lenses that we read, names with spaces and letters of other scripts, sub-folders, observations, points."""
     request = request_for(LENSES, NAMES)
     theirs = colmap("write", folder=str(tmp_path / "sparse/0"), kind=kind, **request)
@@ -125,7 +125,7 @@ def write_furnished_model(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["demo", "furnished", "text", "binary"])
-def test_colmap_reads_what_we_write(kind: str, tmp_path: Path) -> None:
+def test_colmap_reads_what_we_write(kind, tmp_path):
     """The model of the demo, and those that the tests write after COLMAP's description, so that these are right."""
     folder = tmp_path / "model"
     if kind == "demo":
@@ -144,14 +144,14 @@ def test_colmap_reads_what_we_write(kind: str, tmp_path: Path) -> None:
     assert_same_views(views, colmap("read", folder=str(folder), probes=PROBES.tolist()))
 
 
-def test_the_list_of_lenses_is_that_of_colmap() -> None:
+def test_the_list_of_lenses_is_that_of_colmap():
     """By number, as binary models name them; a later COLMAP may have more."""
     theirs = colmap("lenses")
     assert theirs[: len(MODEL_NAMES)] == list(MODEL_NAMES)
     assert set(LENSES) == set(PARAMETERS) < set(theirs)
 
 
-def test_photos_are_undistorted_as_by_colmap(tmp_path: Path) -> None:
+def test_photos_are_undistorted_as_by_colmap(tmp_path):
     """To a grey level, with size and focal lengths kept and black beyond the photo.
 
     The photo's outermost half pixel is black too for COLMAP, which wants four neighbours; ours repeats the border.
@@ -192,7 +192,7 @@ def within_photo(view: View, margin: float) -> np.ndarray:
         ("FOV", [150, 150, 80, 60, 0.5]),
     ],
 )
-def test_the_cure_for_other_lenses_works(model: str, parameters: list[float], tmp_path: Path) -> None:
+def test_the_cure_for_other_lenses_works(model, parameters, tmp_path):
     """They are refused with `colmap image_undistorter`, whose output is a capture with the same poses."""
     request = request_for({model: parameters}, NAMES[:3])
     theirs = colmap("write", folder=str(tmp_path / "sparse/0"), kind="binary", **request)

@@ -44,7 +44,7 @@ def decoded(path: Path) -> Gaussians:
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_what_we_write_is_read_to_the_bit(degree: int, tmp_path: Path) -> None:
+def test_what_we_write_is_read_to_the_bit(degree, tmp_path):
     path = tmp_path / "ours.ply"
     write_gaussians(path, made(degree))
     ours, theirs = read_gaussians(path), decoded(path)
@@ -63,7 +63,7 @@ def test_what_we_write_is_read_to_the_bit(degree: int, tmp_path: Path) -> None:
         ("a.sog", (), 1),
     ],
 )
-def test_what_they_write_is_decoded_alike(name: str, options: tuple[str, ...], degree: int, tmp_path: Path) -> None:
+def test_what_they_write_is_decoded_alike(name, options, degree, tmp_path):
     source, path = tmp_path / "ours.ply", tmp_path / name
     write_gaussians(source, made(degree))
     splat_transform(*options, source, path)
@@ -71,13 +71,13 @@ def test_what_they_write_is_decoded_alike(name: str, options: tuple[str, ...], d
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
-def test_ksplat_is_decoded_alike(level: int, tmp_path: Path) -> None:
+def test_ksplat_is_decoded_alike(level, tmp_path):
     path = tmp_path / "a.ksplat"
     path.write_bytes(scene_files.ksplat_bytes([made(2)], level))
     assert_same(read_gaussians(path), decoded(path))
 
 
-def test_splat_is_decoded_alike_but_for_the_zero_of_a_rotation(tmp_path: Path) -> None:
+def test_splat_is_decoded_alike_but_for_the_zero_of_a_rotation(tmp_path):
     """The format's first viewer writes round(128 q + 128), so that 128 is zero. Theirs takes bytes as [-1, 1]."""
     path = tmp_path / "a.splat"
     path.write_bytes(scene_files.splat_bytes(made(0)))
@@ -90,14 +90,14 @@ def test_splat_is_decoded_alike_but_for_the_zero_of_a_rotation(tmp_path: Path) -
         assert_allclose(gaussians.quats, unit * signs, rtol=0, atol=ROUNDING)
 
 
-def test_positions_far_from_zero_stay_as_exact_as_they_were_written(tmp_path: Path) -> None:
+def test_positions_far_from_zero_stay_as_exact_as_they_were_written(tmp_path):
     scene, path = made(0), tmp_path / "far.ply"
     origin = np.array([500_000.0, 4_000_000.0, 100.0])
     write_gaussians(path, Gaussians(scene.means, scene.quats, scene.scales, scene.opacities, scene.sh, {}, origin))
     assert_allclose(decoded(path).positions, scene.means + origin, rtol=0, atol=1e-5)
 
 
-def test_a_saved_column_selects_what_was_found(tmp_path: Path) -> None:
+def test_a_saved_column_selects_what_was_found(tmp_path):
     """The filter that docs/neighbours.md shows for what `drsplat select --save` wrote."""
     scene, path, cut = made(1), tmp_path / "found.ply", tmp_path / "cut.ply"
     selected = np.arange(len(scene)) % 7 == 0
@@ -109,7 +109,7 @@ def test_a_saved_column_selects_what_was_found(tmp_path: Path) -> None:
     assert_array_equal(read_gaussians(cut).means, scene.means[relevancy > 0.5])
 
 
-def test_the_cure_that_a_message_names_works(tmp_path: Path) -> None:
+def test_the_cure_that_a_message_names_works(tmp_path):
     scene, path, mended = made(0), tmp_path / "broken.ply", tmp_path / "mended.ply"
     columns = scene_files.ply_columns(scene)
     columns["x"] = columns["x"].copy()
@@ -122,7 +122,7 @@ def test_the_cure_that_a_message_names_works(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_gsply_compresses_is_decoded_as_they_do(tmp_path: Path) -> None:
+def test_what_gsply_compresses_is_decoded_as_they_do(tmp_path):
     """Its columns of integers are no floats, which gsply 0.4.6 takes all rows for: it gets a PLY without any."""
     gsply = pytest.importorskip("gsply")
     source, path = tmp_path / "ours.ply", tmp_path / "theirs.compressed.ply"

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from PIL import Image
 
@@ -30,7 +31,7 @@ from drsplat.formats.lerf_ovs import LabelledFrame, fill_polygon, read_lerf_labe
 from drsplat.scene.gaussians import Gaussians
 
 pytestmark = pytest.mark.oracle
-few = settings(derandomize=True, deadline=None, max_examples=40)
+few = settings(derandomize=True, max_examples=40)
 CATEGORIES = ("mug", "plate (blue)", "toy cat")
 OPENCV_QUALITY, LOWER_QUALITY = 95, 75  # of a JPEG: what LangSplat's truth is written with, and Pillow's own
 OCCUPIED = 10  # of 255, above which OpenGaussian takes a pixel of a mask for the object
@@ -46,7 +47,7 @@ Pair = tuple[str, str]
 def polygon_pixels(corners: list[tuple[int, int]]) -> Pixels:
     """Return the pixels inside of a polygon by the even-odd rule, and those of its edges, as OpenCV fills it."""
     edges = list(zip(corners, corners[1:] + corners[:1], strict=True))
-    pixels: Pixels = set()
+    pixels = set()
     for y in range(min(y for _, y in corners), max(y for _, y in corners) + 1):
         crossings = sorted(
             x1 + Fraction((y - y1) * (x2 - x1), y2 - y1) for (x1, y1), (x2, y2) in edges if (y1 <= y) != (y2 <= y)
@@ -155,7 +156,7 @@ def masks_of(frame: LabelledFrame, category: str) -> st.SearchStrategy[np.ndarra
 
 @few
 @given(st.lists(labelled_frames(), min_size=1, max_size=3), st.data())
-def test_selection_is_scored_as_by_opengaussian(tmp_path_factory, frames: list[dict[str, Any]], data) -> None:
+def test_selection_is_scored_as_by_opengaussian(tmp_path_factory, frames, data):
     """Exactly the same IoU of each pair, with truth as LangSplat writes it, and so the same means."""
     folder = tmp_path_factory.mktemp("selection")
     labels = write_labels(folder / "labels", frames)
@@ -174,7 +175,7 @@ def test_selection_is_scored_as_by_opengaussian(tmp_path_factory, frames: list[d
         assert numbers[f"acc@{least:g}"] == pytest.approx(share, abs=1e-12)
 
 
-def test_an_iou_of_exactly_a_threshold_is_not_above_it(tmp_path: Path) -> None:
+def test_an_iou_of_exactly_a_threshold_is_not_above_it(tmp_path):
     """OpenGaussian's Acc counts strictly greater IoUs: here of 1/4, of 1/2, and of one pixel more than either."""
     square = {"category": "mug", "segmentation": [[0, 0], [15, 0], [15, 15], [0, 15]]}
     labels = write_labels(tmp_path / "labels", [{"info": {"width": 16, "height": 16}, "objects": [square]}] * 4)
@@ -189,7 +190,7 @@ def test_an_iou_of_exactly_a_threshold_is_not_above_it(tmp_path: Path) -> None:
 
 @few
 @given(labelled_frames(), st.data())
-def test_a_coarser_jpeg_of_the_truth_is_all_that_could_differ(tmp_path_factory, frame: dict[str, Any], data) -> None:
+def test_a_coarser_jpeg_of_the_truth_is_all_that_could_differ(tmp_path_factory, frame, data):
     """Theirs then has further pixels in the 8 x 8 blocks that an outline crosses; the arithmetic is ours."""
     folder = tmp_path_factory.mktemp("jpeg")
     labels = write_labels(folder / "labels", [frame])
@@ -207,7 +208,7 @@ def test_a_coarser_jpeg_of_the_truth_is_all_that_could_differ(tmp_path_factory, 
         assert iou == (scorers.mask_iou(np.asarray(Image.open(path)) > 0, theirs) if path.exists() else 0)
 
 
-def test_a_perfect_prediction_is_perfect_but_for_a_coarser_jpeg(tmp_path: Path) -> None:
+def test_a_perfect_prediction_is_perfect_but_for_a_coarser_jpeg(tmp_path):
     triangle = {"category": "mug", "segmentation": [[2, 1], [27, 9], [6, 20]]}
     labels = write_labels(tmp_path / "labels", [{"info": {"width": 30, "height": 24}, "objects": [triangle]}])
     scene = LerfScene("room", read_lerf_labels(labels), {})
@@ -227,14 +228,14 @@ corners_within = st.lists(st.tuples(st.integers(0, 39), st.integers(0, 29)), min
 
 @few
 @given(corners_within)
-def test_polygons_are_filled_as_by_the_oracle(corners: list[tuple[int, int]]) -> None:
+def test_polygons_are_filled_as_by_the_oracle(corners):
     filled = fill_polygon(np.array(corners), 40, 30)
     assert {(x, y) for y, x in np.argwhere(filled).tolist()} == polygon_pixels(corners)
 
 
 @few
 @given(corners_within)
-def test_polygons_are_filled_as_by_opencv(corners: list[tuple[int, int]]) -> None:
+def test_polygons_are_filled_as_by_opencv(corners):
     """All pixels from OpenCV 5 on; before, edges were drawn a little otherwise."""
     cv2 = pytest.importorskip("cv2")
     theirs = np.zeros((30, 40), np.uint8)
@@ -291,7 +292,7 @@ maps = st.tuples(st.integers(8, 24), st.integers(34, 70)).flatmap(lambda s: arra
 @pytest.mark.slow
 @few
 @given(maps, st.data())
-def test_localization_is_that_of_langsplat_but_for_window_and_border(tmp_path_factory, relevancy, data) -> None:
+def test_localization_is_that_of_langsplat_but_for_window_and_border(tmp_path_factory, relevancy, data):
     """With our window and nothing beyond the picture their rule hits where ours does; ours takes one of equal peaks."""
     height, width = relevancy.shape
     corner = st.tuples(st.integers(0, width - 1), st.integers(0, height - 1))
@@ -307,7 +308,7 @@ def test_localization_is_that_of_langsplat_but_for_window_and_border(tmp_path_fa
     assert hit == langsplat_hit(peaks, boxes) or len(peaks) > 1
 
 
-def test_a_box_may_be_drawn_from_any_corner(tmp_path: Path) -> None:
+def test_a_box_may_be_drawn_from_any_corner(tmp_path):
     relevancy = np.zeros((20, 40), np.float32)
     relevancy[5:8, 10:13] = 1
     for k, box in enumerate(([9, 4, 14, 9], [14, 9, 9, 4], [14, 4, 9, 9], [9, 9, 14, 4])):
@@ -316,14 +317,14 @@ def test_a_box_may_be_drawn_from_any_corner(tmp_path: Path) -> None:
         assert langsplat_hit(langsplat_peaks(relevancy, 3, "reflect"), [box])
 
 
-def test_where_nothing_scores_langsplat_hits_everywhere(tmp_path: Path) -> None:
+def test_where_nothing_scores_langsplat_hits_everywhere(tmp_path):
     """Every pixel is a peak of a map of zeros. Ours has none there."""
     nothing = np.zeros((20, 40), np.float32)
     assert langsplat_hit(langsplat_peaks(nothing, LANGSPLAT_WINDOW, "reflect"), [[3, 3, 4, 4]])
     assert not localized(tmp_path, nothing, [[3, 3, 4, 4]])
 
 
-def test_what_is_mirrored_at_the_border_counts_twice_for_langsplat() -> None:
+def test_what_is_mirrored_at_the_border_counts_twice_for_langsplat():
     relevancy = np.zeros((40, 66), np.float32)
     relevancy[18:22, 0:2] = 0.9  # half of a thing that the frame cuts
     relevancy[18:21, 40:43] = 1.0
@@ -332,9 +333,9 @@ def test_what_is_mirrored_at_the_border_counts_twice_for_langsplat() -> None:
     assert (41, 19) in langsplat_peaks(relevancy, 3, "constant")
 
 
-def test_the_oracle_smooths_as_opencv_does() -> None:
+def test_the_oracle_smooths_as_opencv_does():
     cv2 = pytest.importorskip("cv2")
-    relevancy = np.random.default_rng(0).random((50, 70)).astype(np.float32)
+    relevancy = default_rng(0).random((50, 70)).astype(np.float32)
     for window in (3, LANGSPLAT_WINDOW):
         theirs = cv2.filter2D(relevancy, -1, np.full((window, window), 1 / window**2))
         y, x = np.unravel_index(theirs.argmax(), theirs.shape)
@@ -342,10 +343,10 @@ def test_the_oracle_smooths_as_opencv_does() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_things_are_localized_alike_at_the_size_of_lerf(seed: int) -> None:
+def test_things_are_localized_alike_at_the_size_of_lerf(seed):
     """Photos of 990 x 731, the window as published, 30 pixels and mirrored borders: one hit is the other."""
     cv2 = pytest.importorskip("cv2")
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     things = [(x, y, 25 + 20 * rng.random()) for x, y in rng.uniform((60, 60), (930, 670), (6, 2))]
     ys, xs = np.mgrid[:731, :990]
     heights = rng.uniform(0.3, 0.9, len(things))
@@ -357,7 +358,6 @@ def test_things_are_localized_alike_at_the_size_of_lerf(seed: int) -> None:
     smooth = cv2.filter2D(relevancy, -1, np.full((LANGSPLAT_WINDOW,) * 2, 1 / LANGSPLAT_WINDOW**2))
     theirs = [(int(x), int(y)) for y, x in np.argwhere(smooth == smooth.max())]
     ours = peak(relevancy)
-    assert ours is not None
     hits = [[langsplat_hit([place], [[x - 30, y - 30, x + 30, y + 30]]) for x, y, _ in things]
             for place in ((int(ours[0]), int(ours[1])), theirs[0])]  # fmt: skip
     assert hits[0] == hits[1]
@@ -387,8 +387,8 @@ def mean_of(values: dict[int, Fraction]) -> float:
 def frozen_scene(truth: list[int], opacities: list[float], count: int) -> ScannetScene:
     names = tuple(f"class {label}" for label in range(1, count + 1))
     rows = len(truth)
-    means = np.random.default_rng(0).normal(size=(rows, 3)).astype(np.float32)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (rows, 1))
+    means = default_rng(0).normal(size=(rows, 3)).astype(np.float32)
+    quats = np.tile(np.float32([1, 0, 0, 0]), (rows, 1))
     gaussians = Gaussians(
         means, quats, np.full((rows, 3), 0.1, np.float32), np.array(opacities, np.float32),
         np.zeros((rows, 1, 3), np.float32),
@@ -399,14 +399,14 @@ def frozen_scene(truth: list[int], opacities: list[float], count: int) -> Scanne
 
 @few
 @given(st.integers(2, 19), st.data())
-def test_classes_are_scored_as_by_opengaussian(tmp_path_factory, count: int, data) -> None:
+def test_classes_are_scored_as_by_opengaussian(tmp_path_factory, count, data):
     """Of Gaussians at the points, without faint ones: mIoU and mAcc over the classes that are there."""
     label = st.integers(0, count)
     rows = data.draw(st.lists(st.tuples(label, label, st.sampled_from([0.05, 0.1, 0.9])), min_size=2, max_size=60))
     truth, predicted, opacities = (list(column) for column in zip(*rows, strict=True))
     scene, folder = frozen_scene(truth, opacities, count), tmp_path_factory.mktemp("classes")
 
-    def scores(text: str) -> np.ndarray:
+    def scores(text):
         """0.5 for the predicted class; no score at all for rows that have none."""
         chosen = np.array(predicted)
         right = chosen == 1 + scene.labels.prompts.index(text)

@@ -6,7 +6,6 @@ import json
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ def labelled_scene() -> LabelledScene:
 @needs_chromium
 @needs_packages("playcanvas")
 @pytest.mark.parametrize("up", UPS)
-def test_playcanvas_draws_it(up: tuple[float, float, float], edited_room: Path, tmp_path: Path, chromium: Any) -> None:
+def test_playcanvas_draws_it(up, edited_room, tmp_path, chromium):
     """Judged where the scene is. Its Gaussians end a little earlier than ours; shifted by a pixel, or with harmonics
     that do not turn along with the node, the picture would be another.
     """
@@ -71,7 +70,7 @@ def test_playcanvas_draws_it(up: tuple[float, float, float], edited_room: Path, 
 
 @needs_chromium
 @needs_packages("cesium")
-def test_cesium_reads_the_table_of_objects(tmp_path: Path, chromium: Any) -> None:
+def test_cesium_reads_the_table_of_objects(tmp_path, chromium):
     scene = labelled_scene()
     write_scene(tmp_path / "scene.glb", scene)
     with serving(tmp_path / "scene.glb") as address, a_page(chromium) as page:
@@ -85,7 +84,7 @@ def test_cesium_reads_the_table_of_objects(tmp_path: Path, chromium: Any) -> Non
 
 @needs_node
 @needs_packages("gltf-validator")
-def test_the_validator_of_khronos_finds_no_fault(tmp_path: Path) -> None:
+def test_the_validator_of_khronos_finds_no_fault(tmp_path):
     """It does not know the extension yet, and calls the names of its attributes, which have a colon, invalid."""
     write_scene(tmp_path / "scene.glb", labelled_scene())
     finished = subprocess.run(
@@ -105,7 +104,7 @@ def test_the_validator_of_khronos_finds_no_fault(tmp_path: Path) -> None:
 @needs_node
 @needs_packages("@playcanvas/splat-transform")
 @pytest.mark.parametrize("degree", [0, 3])
-def test_what_splat_transform_writes_is_what_it_was_given(degree: int, tmp_path: Path) -> None:
+def test_what_splat_transform_writes_is_what_it_was_given(degree, tmp_path):
     """It turns the numbers themselves, harmonics too."""
     scene = scene_files.random_gaussians(np.random.default_rng(1), 300, degree)
     ds.write_gaussians(tmp_path / "scene.ply", scene)
@@ -118,7 +117,7 @@ def test_what_splat_transform_writes_is_what_it_was_given(degree: int, tmp_path:
         assert_allclose(getattr(theirs, name), getattr(scene, name), atol=1e-5)
 
 
-def test_a_scene_without_a_field_is_drawn_alike_after_the_way_through_a_file(edited_room: Path, tmp_path: Path) -> None:
+def test_a_scene_without_a_field_is_drawn_alike_after_the_way_through_a_file(edited_room, tmp_path):
     scene = ds.read_gaussians(edited_room / "scene.ply")
     export(tmp_path / "scene.glb", scene)
     view = ds.read_views(edited_room / "capture")[0]

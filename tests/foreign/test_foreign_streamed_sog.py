@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ def chromium() -> Iterator[Any]:
 @needs_chromium
 @needs_packages("playcanvas")
 @pytest.mark.parametrize("level", [0, 2])
-def test_playcanvas_draws_the_level_that_we_read(level: int, edited_room: Path, tmp_path: Path, chromium: Any) -> None:
+def test_playcanvas_draws_the_level_that_we_read(level, edited_room, tmp_path, chromium):
     """Its Gaussians end a little earlier than ours. The other level would be another picture."""
     scene = replace(colourful(ds.read_gaussians(edited_room / "scene.ply")), extra={})
     write_streamed_sog(tmp_path / "out" / LOD_META, LabelledScene(scene), leaf_rows=500, chunk_rows=1200)
@@ -44,7 +43,7 @@ def test_playcanvas_draws_the_level_that_we_read(level: int, edited_room: Path, 
 
 @needs_node
 @needs_packages("@playcanvas/splat-transform")
-def test_what_splat_transform_writes_is_read(tmp_path: Path) -> None:
+def test_what_splat_transform_writes_is_read(tmp_path):
     fine, coarse = (random_gaussians(np.random.default_rng(seed), 400 // (1 + 3 * seed), 1) for seed in (0, 1))
     for name, scene in (("fine.ply", fine), ("coarse.ply", coarse)):
         ds.write_gaussians(tmp_path / name, scene)

@@ -17,7 +17,7 @@ import pytest
 
 import drsplat as ds
 from browsing import a_browser, needs_chromium
-from command_line import Capture, answer_of
+from command_line import answer_of
 from drsplat.formats.axes import HALF_TURN
 from drsplat.formats.known import write_scene
 from drsplat.scene.labelled import LabelledScene, Thing
@@ -42,7 +42,7 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture
-def saved(edited_room: Path, tmp_path: Path, capsys: Capture) -> Path:
+def saved(edited_room, tmp_path, capsys) -> Path:
     """The scene of the room with colours that depend on the direction, as `drsplat locate --save` writes it."""
     room = Path(shutil.copytree(edited_room, tmp_path / "room"))
     ds.write_gaussians(room / "scene.ply", colourful(ds.read_gaussians(room / "scene.ply")), overwrite=True)
@@ -53,9 +53,7 @@ def saved(edited_room: Path, tmp_path: Path, capsys: Capture) -> Path:
 
 
 @pytest.mark.parametrize(("viewer", "antialiased"), [("spark", False), ("spark", True), ("mkkellogg", False)])
-def test_viewers_of_the_web_draw_what_we_save(
-    viewer: str, antialiased: bool, saved: Path, chromium: Any, edited_room: Path
-) -> None:
+def test_viewers_of_the_web_draw_what_we_save(viewer, antialiased, saved, chromium, edited_room):
     """Judged where the scene is; the rest is black for all. Spark draws scenes antialiased unless made otherwise."""
     scene = replace(ds.read_gaussians(saved), antialiased=antialiased)
     assert {"match_id", "relevancy"} <= set(scene.extra)
@@ -73,9 +71,7 @@ def test_viewers_of_the_web_draw_what_we_save(
 
 @needs_packages("playcanvas")
 @pytest.mark.parametrize(("viewer", "name"), [("spark", "a.spz"), ("spark", "a.sog"), ("playcanvas", "a.sog")])
-def test_viewers_of_the_web_draw_what_we_export(
-    viewer: str, name: str, edited_room: Path, tmp_path: Path, chromium: Any
-) -> None:
+def test_viewers_of_the_web_draw_what_we_export(viewer, name, edited_room, tmp_path, chromium):
     """With objects in it, where the format has room. A shift by a pixel is another picture; PlayCanvas clamps no
     colours, and lets Gaussians end a little earlier.
     """

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from drsplat.scene.gaussians import SH_C0, rotation_matrices
@@ -27,9 +28,9 @@ SPLAT = "KHR_gaussian_splatting"
 
 
 @pytest.fixture
-def addon(monkeypatch: pytest.MonkeyPatch) -> Any:
+def addon(monkeypatch) -> Any:
     """The module of the add-on, beside stand-ins for Blender's own modules."""
-    stand_ins: dict[str, dict[str, Any]] = {
+    stand_ins = {
         "bpy": {
             "types": type("types", (), {"Operator": type("Operator", (), {})}),
             "props": type("props", (), {"StringProperty": dict, "EnumProperty": dict}),
@@ -43,8 +44,6 @@ def addon(monkeypatch: pytest.MonkeyPatch) -> Any:
         vars(module).update(contents)
         monkeypatch.setitem(sys.modules, name, module)
     spec = importlib.util.spec_from_file_location("drsplat_import", ADDON)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "drsplat_import", module)
     spec.loader.exec_module(module)
@@ -72,7 +71,7 @@ def glb_bytes(gaussians: ds.Gaussians, **changes: Any) -> bytes:
         accessors.append({"bufferView": at, "componentType": component, "count": len(values), "type": kind, **more})
         return len(accessors) - 1
 
-    ids = np.array([0, 0, 0, 1, 1, 65535], np.uint16)
+    ids = np.uint16([0, 0, 0, 1, 1, 65535])
     texts = [b"red mug", "Tür".encode()]
     attributes = {
         "POSITION": accessor(gaussians.means, 5126),
@@ -89,7 +88,7 @@ def glb_bytes(gaussians: ds.Gaussians, **changes: Any) -> bytes:
         "axes": {"values": view(np.array([[0, 1, 0, -1, 0, 0, 0, 0, 1], np.eye(3).ravel()], "<f4").tobytes())},
     }
     features = {"featureIds": [{"featureCount": 2, "attribute": 0, "propertyTable": 0, "nullFeatureId": 65535}]}
-    document: dict[str, Any] = {
+    document = {
         "asset": {"version": "2.0"},
         "extensionsUsed": [SPLAT, "EXT_mesh_features", "EXT_structural_metadata"],
         "scene": 0,
@@ -119,22 +118,22 @@ def glb_bytes(gaussians: ds.Gaussians, **changes: Any) -> bytes:
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def test_a_glb_gives_gaussians_objects_and_marks(addon: Any, gaussians: ds.Gaussians, tmp_path: Path) -> None:
+def test_a_glb_gives_gaussians_objects_and_marks(addon, gaussians, tmp_path):
     (tmp_path / "room.glb").write_bytes(glb_bytes(gaussians))
     splats = addon.read_glb(str(tmp_path / "room.glb"))
-    np.testing.assert_array_equal(splats.positions, gaussians.means)
-    np.testing.assert_array_equal(splats.scales, gaussians.scales)
-    np.testing.assert_array_equal(splats.quats, gaussians.quats)
-    np.testing.assert_allclose(splats.opacities, gaussians.opacities, atol=0.5 / 255 + 1e-6)
-    np.testing.assert_allclose(splats.colors, 0.5 + SH_C0 * gaussians.sh[:, 0], atol=1e-6)
+    assert_array_equal(splats.positions, gaussians.means)
+    assert_array_equal(splats.scales, gaussians.scales)
+    assert_array_equal(splats.quats, gaussians.quats)
+    assert_allclose(splats.opacities, gaussians.opacities, atol=0.5 / 255 + 1e-6)
+    assert_allclose(splats.colors, 0.5 + SH_C0 * gaussians.sh[:, 0], atol=1e-6)
     assert splats.objects.tolist() == [0, 0, 0, 1, 1, -1]
     assert [box.name for box in splats.boxes.values()] == ["red mug", "Tür"]
     assert splats.boxes[0].axes.tolist() == [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
     # y down, the half turn of the node and 10 ahead of it: the file's (0, 0, 10) is 10 behind in glTF, +y in Blender
-    np.testing.assert_allclose(splats.matrix, [[1, 0, 0, 0], [0, 0, 1, 10], [0, -1, 0, 0], [0, 0, 0, 1]], atol=1e-12)
+    assert_allclose(splats.matrix, [[1, 0, 0, 0], [0, 0, 1, 10], [0, -1, 0, 0], [0, 0, 0, 1]], atol=1e-12)
     [(name, matrix)] = splats.marks
     assert name == "mug"
-    np.testing.assert_allclose(matrix @ [0.5, 0.5, 0.5, 1], [2, 6, -4, 1])
+    assert_allclose(matrix @ [0.5, 0.5, 0.5, 1], [2, 6, -4, 1])
 
 
 @pytest.mark.parametrize(
@@ -146,15 +145,13 @@ def test_a_glb_gives_gaussians_objects_and_marks(addon: Any, gaussians: ds.Gauss
         ({"nodes": [{"children": [0]}]}, "no Gaussians"),
     ],
 )
-def test_a_glb_that_cannot_be_meant_is_refused(
-    addon: Any, gaussians: ds.Gaussians, tmp_path: Path, changes: dict[str, Any], reason: str
-) -> None:
+def test_a_glb_that_cannot_be_meant_is_refused(addon, gaussians, tmp_path, changes, reason):
     (tmp_path / "bad.glb").write_bytes(glb_bytes(gaussians, **changes))
     with pytest.raises(addon.FileError, match=reason):
         addon.read_glb(str(tmp_path / "bad.glb"))
 
 
-def test_counts_are_checked_before_they_are_believed(addon: Any, gaussians: ds.Gaussians, tmp_path: Path) -> None:
+def test_counts_are_checked_before_they_are_believed(addon, gaussians, tmp_path):
     whole = glb_bytes(gaussians)
     for end in (0, 11, 19, 40, len(whole) - 200):
         (tmp_path / "cut.glb").write_bytes(whole[:end])
@@ -167,22 +164,22 @@ def test_counts_are_checked_before_they_are_believed(addon: Any, gaussians: ds.G
         addon.read_ply(str(tmp_path / "room.ply"))
 
 
-def test_a_ply_of_drsplat_gives_the_same_gaussians(addon: Any, gaussians: ds.Gaussians, tmp_path: Path) -> None:
-    ids = {"object_id": np.array([7, 7, 7, 2, 2, -1], np.int32)}
+def test_a_ply_of_drsplat_gives_the_same_gaussians(addon, gaussians, tmp_path):
+    ids = {"object_id": np.int32([7, 7, 7, 2, 2, -1])}
     ds.write_gaussians(tmp_path / "room.ply", gaussians, ids)
     splats = addon.read_ply(str(tmp_path / "room.ply"), "Z")
     again = ds.read_gaussians(tmp_path / "room.ply")
-    np.testing.assert_array_equal(splats.positions, again.means)
-    np.testing.assert_allclose(splats.scales, again.scales, rtol=1e-5)
-    np.testing.assert_allclose(splats.quats, again.quats, atol=1e-6)
-    np.testing.assert_allclose(splats.opacities, again.opacities, atol=1e-6)
-    np.testing.assert_allclose(splats.colors, 0.5 + SH_C0 * again.sh[:, 0], atol=1e-6)
+    assert_array_equal(splats.positions, again.means)
+    assert_allclose(splats.scales, again.scales, rtol=1e-5)
+    assert_allclose(splats.quats, again.quats, atol=1e-6)
+    assert_allclose(splats.opacities, again.opacities, atol=1e-6)
+    assert_allclose(splats.colors, 0.5 + SH_C0 * again.sh[:, 0], atol=1e-6)
     assert splats.objects.tolist() == [7, 7, 7, 2, 2, -1]
     assert sorted(box.name for box in splats.boxes.values()) == ["object 2", "object 7"]
-    np.testing.assert_array_equal(splats.matrix, np.eye(4))
+    assert_array_equal(splats.matrix, np.eye(4))
 
 
-def test_euler_angles_are_of_the_same_rotation(addon: Any) -> None:
+def test_euler_angles_are_of_the_same_rotation(addon):
     rng = np.random.default_rng(0)
     quats = rng.normal(size=(50, 4))
     quats[0] = [1, 0, -1, 0]  # looks straight up: two of the axes fall together
@@ -192,7 +189,7 @@ def test_euler_angles_are_of_the_same_rotation(addon: Any) -> None:
         about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
         about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
         about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-        np.testing.assert_allclose(about_z @ about_y @ about_x, rotation_matrices(quat[None])[0], atol=1e-9)
+        assert_allclose(about_z @ about_y @ about_x, rotation_matrices(quat[None])[0], atol=1e-9)
 
 
 def blender_with_numpy() -> str:
@@ -207,7 +204,7 @@ def blender_with_numpy() -> str:
 @pytest.mark.oracle
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["glb", "ply"])
-def test_blender_shows_objects_as_named_collections(kind: str, gaussians: ds.Gaussians, tmp_path: Path) -> None:
+def test_blender_shows_objects_as_named_collections(kind, gaussians, tmp_path):
     blender = blender_with_numpy()
     if not blender:
         pytest.skip("no blender with NumPy is installed")
@@ -215,7 +212,7 @@ def test_blender_shows_objects_as_named_collections(kind: str, gaussians: ds.Gau
     if kind == "glb":
         scene.write_bytes(glb_bytes(gaussians))
     else:
-        ds.write_gaussians(scene, gaussians, {"object_id": np.array([0, 0, 0, 1, 1, -1], np.int32)})
+        ds.write_gaussians(scene, gaussians, {"object_id": np.int32([0, 0, 0, 1, 1, -1])})
     command = [blender, "--background", "--factory-startup", "--python-exit-code", "7", "--python", str(SESSION), "--"]
     done = subprocess.run([*command, str(ADDON), str(scene), "-Y"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -226,14 +223,14 @@ def test_blender_shows_objects_as_named_collections(kind: str, gaussians: ds.Gau
     stood = gaussians.means @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) + ahead
     for name, rows in (("rest", [5]), (names[1], [0, 1, 2]), (names[2], [3, 4])):
         cloud = result["parts"][name][name]
-        np.testing.assert_allclose(cloud["world"], stood[rows], atol=1e-5)
-        np.testing.assert_allclose(cloud["scale"], gaussians.scales[rows], rtol=1e-5)
-        np.testing.assert_allclose(cloud["opacity"], gaussians.opacities[rows], atol=0.5 / 255 + 1e-6)
-        np.testing.assert_allclose(cloud["radius"], np.cbrt(gaussians.scales[rows].prod(axis=1)), rtol=1e-5)
+        assert_allclose(cloud["world"], stood[rows], atol=1e-5)
+        assert_allclose(cloud["scale"], gaussians.scales[rows], rtol=1e-5)
+        assert_allclose(cloud["opacity"], gaussians.opacities[rows], atol=0.5 / 255 + 1e-6)
+        assert_allclose(cloud["radius"], np.cbrt(gaussians.scales[rows].prod(axis=1)), rtol=1e-5)
         assert cloud["instances"] == (gaussians.opacities[rows] > 0.2).sum()
         assert len(cloud["color"][0]) == 4
     box = np.array(result["parts"][names[1]][f"{names[1]} (box)"]["matrix"])
     if kind == "glb":  # the first axis of the box is the file's y, 2 long, which is down in Blender
-        np.testing.assert_allclose(box[:3, 0], [0, 0, -2], atol=1e-6)
-        np.testing.assert_allclose(box[:3, 3], [1, 13, -2], atol=1e-6)
+        assert_allclose(box[:3, 0], [0, 0, -2], atol=1e-6)
+        assert_allclose(box[:3, 3], [1, 13, -2], atol=1e-6)
         assert result["parts"]["marks"]["mug"]["type"] == "EMPTY"

@@ -37,12 +37,12 @@ catch (error) {{ console.log(JSON.stringify([error.message])) }}"""
         ('selectByColumn("relevancy", score => score > 0.5)', [255, 0, 0, 255]),
     ],
 )
-def test_a_column_becomes_a_selection(call: str, mask: list[int]) -> None:
+def test_a_column_becomes_a_selection(call, mask):
     assert selected(call) == [sum(map(bool, mask)), "select.mask", "set", mask]
 
 
 @needs_node
-def test_without_the_column_it_says_what_to_open() -> None:
+def test_without_the_column_it_says_what_to_open():
     for call, is_open in (('selectByColumn("class_id", id => true)', True), ('selectByColumn("x", x => true)', False)):
         [error] = selected(call, is_open)
         assert "open a PLY that drsplat saved" in str(error)
