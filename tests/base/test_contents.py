@@ -1,7 +1,6 @@
 """Files from strangers: only regular ones are opened, and what is small is not mapped."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +62,7 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path, monkeypatch):
     path.write_bytes(b"x" * 100)
     opened = contents.open_file
 
-    def shrunk(*given: Path) -> object:
+    def shrunk(*given):
         file = opened(*given)
         told = os.fstat(file.fileno())
         os.truncate(path, 10)
@@ -82,7 +81,7 @@ def field_of(pipe: Path) -> object:
     return load_field(folder)
 
 
-READERS: list[Callable[[Path], object]] = [
+READERS = [
     file_bytes, map_tensors, map_npy, read_json, photo_size, field_of, read_gaussians, read_views,
 ]  # fmt: skip
 

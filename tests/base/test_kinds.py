@@ -52,7 +52,7 @@ def test_another_kind_is_named(name, parameter):
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def room(tmp_path_factory) -> Path:
     return write_toy_capture(tmp_path_factory.mktemp("kinds"))
 
 

@@ -51,7 +51,7 @@ def test_other_origins(record, wanted, monkeypatch):
 
 
 def test_without_an_installation_it_is_that_of_an_index(monkeypatch):
-    def absent(name: str) -> None:
+    def absent(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(importlib.metadata, "distribution", absent)

@@ -70,15 +70,15 @@ def test_a_process_whose_parent_has_ended_before_it_began_to_look_ends():
 
 
 @pytest.fixture
-def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
+def windows(monkeypatch) -> list[tuple[int, int]]:
     """Its rules, as far as they can be had here: other locks, and no new name for an open file."""
-    taken: list[tuple[int, int]] = []
+    taken = []
 
     class Locks:
         LK_NBLCK = 2
 
         @staticmethod
-        def locking(descriptor: int, how: int, length: int) -> None:
+        def locking(descriptor, how, length):
             if taken:
                 raise PermissionError
             taken.append((how, length))
@@ -99,7 +99,7 @@ def open_files(folder: Path) -> list[str]:
 
 
 def test_a_file_is_closed_before_it_takes_its_name_there(windows, tmp_path, monkeypatch):
-    seen: list[list[str]] = []
+    seen = []
     replace = drsplat.formats.replacing.os.replace
     monkeypatch.setattr(
         drsplat.formats.replacing.os, "replace", lambda *names: (seen.append(open_files(tmp_path)), replace(*names))

@@ -31,7 +31,7 @@ def wall() -> Gaussians:
     means = (rng.uniform(-1, 1, (COUNT, 3)) * [3, 3, 0.05]).astype(np.float32)
     above, left = means[:, 1] < 0, means[:, 0] < 0
     colors = np.where(above[:, None], [0, 1, 0], np.where(left[:, None], [1, 0, 0], [0, 0, 1]))
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (COUNT, 1))
+    quats = np.tile(np.float32([1, 0, 0, 0]), (COUNT, 1))
     scales = np.full((COUNT, 3), 0.15, np.float32)
     sh = ((colors - 0.5) / SH_C0).astype(np.float32)[:, None]
     return Gaussians(means, quats, scales, np.full(COUNT, 0.9, np.float32), sh)

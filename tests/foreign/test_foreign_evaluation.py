@@ -47,7 +47,7 @@ Pair = tuple[str, str]
 def polygon_pixels(corners: list[tuple[int, int]]) -> Pixels:
     """Return the pixels inside of a polygon by the even-odd rule, and those of its edges, as OpenCV fills it."""
     edges = list(zip(corners, corners[1:] + corners[:1], strict=True))
-    pixels: Pixels = set()
+    pixels = set()
     for y in range(min(y for _, y in corners), max(y for _, y in corners) + 1):
         crossings = sorted(
             x1 + Fraction((y - y1) * (x2 - x1), y2 - y1) for (x1, y1), (x2, y2) in edges if (y1 <= y) != (y2 <= y)
@@ -388,7 +388,7 @@ def frozen_scene(truth: list[int], opacities: list[float], count: int) -> Scanne
     names = tuple(f"class {label}" for label in range(1, count + 1))
     rows = len(truth)
     means = default_rng(0).normal(size=(rows, 3)).astype(np.float32)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (rows, 1))
+    quats = np.tile(np.float32([1, 0, 0, 0]), (rows, 1))
     gaussians = Gaussians(
         means, quats, np.full((rows, 3), 0.1, np.float32), np.array(opacities, np.float32),
         np.zeros((rows, 1, 3), np.float32),
@@ -406,7 +406,7 @@ def test_classes_are_scored_as_by_opengaussian(tmp_path_factory, count, data):
     truth, predicted, opacities = (list(column) for column in zip(*rows, strict=True))
     scene, folder = frozen_scene(truth, opacities, count), tmp_path_factory.mktemp("classes")
 
-    def scores(text: str) -> np.ndarray:
+    def scores(text):
         """0.5 for the predicted class; no score at all for rows that have none."""
         chosen = np.array(predicted)
         right = chosen == 1 + scene.labels.prompts.index(text)

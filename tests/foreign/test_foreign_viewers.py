@@ -17,7 +17,7 @@ import pytest
 
 import drsplat as ds
 from browsing import a_browser, needs_chromium
-from command_line import Capture, answer_of
+from command_line import answer_of
 from drsplat.formats.axes import HALF_TURN
 from drsplat.formats.known import write_scene
 from drsplat.scene.labelled import LabelledScene, Thing
@@ -42,7 +42,7 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture
-def saved(edited_room: Path, tmp_path: Path, capsys: Capture) -> Path:
+def saved(edited_room, tmp_path, capsys) -> Path:
     """The scene of the room with colours that depend on the direction, as `drsplat locate --save` writes it."""
     room = Path(shutil.copytree(edited_room, tmp_path / "room"))
     ds.write_gaussians(room / "scene.ply", colourful(ds.read_gaussians(room / "scene.ply")), overwrite=True)

@@ -28,9 +28,9 @@ SPLAT = "KHR_gaussian_splatting"
 
 
 @pytest.fixture
-def addon(monkeypatch: pytest.MonkeyPatch) -> Any:
+def addon(monkeypatch) -> Any:
     """The module of the add-on, beside stand-ins for Blender's own modules."""
-    stand_ins: dict[str, dict[str, Any]] = {
+    stand_ins = {
         "bpy": {
             "types": type("types", (), {"Operator": type("Operator", (), {})}),
             "props": type("props", (), {"StringProperty": dict, "EnumProperty": dict}),
@@ -71,7 +71,7 @@ def glb_bytes(gaussians: ds.Gaussians, **changes: Any) -> bytes:
         accessors.append({"bufferView": at, "componentType": component, "count": len(values), "type": kind, **more})
         return len(accessors) - 1
 
-    ids = np.array([0, 0, 0, 1, 1, 65535], np.uint16)
+    ids = np.uint16([0, 0, 0, 1, 1, 65535])
     texts = [b"red mug", "Tür".encode()]
     attributes = {
         "POSITION": accessor(gaussians.means, 5126),
@@ -88,7 +88,7 @@ def glb_bytes(gaussians: ds.Gaussians, **changes: Any) -> bytes:
         "axes": {"values": view(np.array([[0, 1, 0, -1, 0, 0, 0, 0, 1], np.eye(3).ravel()], "<f4").tobytes())},
     }
     features = {"featureIds": [{"featureCount": 2, "attribute": 0, "propertyTable": 0, "nullFeatureId": 65535}]}
-    document: dict[str, Any] = {
+    document = {
         "asset": {"version": "2.0"},
         "extensionsUsed": [SPLAT, "EXT_mesh_features", "EXT_structural_metadata"],
         "scene": 0,
@@ -165,7 +165,7 @@ def test_counts_are_checked_before_they_are_believed(addon, gaussians, tmp_path)
 
 
 def test_a_ply_of_drsplat_gives_the_same_gaussians(addon, gaussians, tmp_path):
-    ids = {"object_id": np.array([7, 7, 7, 2, 2, -1], np.int32)}
+    ids = {"object_id": np.int32([7, 7, 7, 2, 2, -1])}
     ds.write_gaussians(tmp_path / "room.ply", gaussians, ids)
     splats = addon.read_ply(str(tmp_path / "room.ply"), "Z")
     again = ds.read_gaussians(tmp_path / "room.ply")
@@ -212,7 +212,7 @@ def test_blender_shows_objects_as_named_collections(kind, gaussians, tmp_path):
     if kind == "glb":
         scene.write_bytes(glb_bytes(gaussians))
     else:
-        ds.write_gaussians(scene, gaussians, {"object_id": np.array([0, 0, 0, 1, 1, -1], np.int32)})
+        ds.write_gaussians(scene, gaussians, {"object_id": np.int32([0, 0, 0, 1, 1, -1])})
     command = [blender, "--background", "--factory-startup", "--python-exit-code", "7", "--python", str(SESSION), "--"]
     done = subprocess.run([*command, str(ADDON), str(scene), "-Y"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
