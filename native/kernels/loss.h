@@ -116,7 +116,9 @@ static void loss_gradient(const float *image, const float *target, const LossPla
         const size_t first = ((size_t)y * p.width + x) * 3 + c;
         float pixels[2][16] = {}, slopes[16];
         for (int i = 0; i < n; i++) pixels[0][i] = image[first + 3 * i], pixels[1][i] = target[first + 3 * i];
-        const auto blurred = [&](int i) { return blur_column(g, plane_of(p, kBlurred + i, c), p.stride, p.height, y, x); };
+        const auto blurred = [&](int i) {
+          return blur_column(g, plane_of(p, kBlurred + i, c), p.stride, p.height, y, x);
+        };
         const Floats a = load(pixels[0]), b = load(pixels[1]), difference = a - b, none = splat(0.f);
         const Floats up = keep(none < difference, splat(1.f)), down = keep(difference < none, splat(1.f));
         total = total + maximum(difference, -difference);

@@ -6,8 +6,8 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
-// colors: 3 per splat. image (height, width, 3), alpha (height, width). blocks: of each list entry, a bit for each block
-// of which it reaches a ray, which is where the way back finds something to do.
+// colors: 3 per splat. image (height, width, 3), alpha (height, width). blocks: of each list entry, a bit for each
+// block of which it reaches a ray, which is where the way back finds something to do.
 static void tile_forward(const Tile &tile, const float *colors, const float *background, TileScratch &scratch,
                          float *image, float *alpha, uint16_t *blocks) {
   Walk walk(tile, scratch, colors);
@@ -68,7 +68,7 @@ static void tile_backward(const Tile &tile, const uint16_t *blocks, const float 
   BlockState states[kBlocks];
   start_blocks(Walk(tile, scratch), image, gradient, states);
   for (uint32_t i = 0; i < tile.count; i++) {
-    fetch_splat(tile, colors, i + kFetchAhead);
+    fetch_splat(tile, colors, i + kSplatsAhead);
     uint32_t reached = blocks[i];
     if (!reached) continue;
     const Splat &g = tile.splats[tile.list[i]];
