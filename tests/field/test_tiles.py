@@ -23,7 +23,7 @@ from drsplat.field.codes import Smaller
 from drsplat.field.evidence.aggregation import Aggregator
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.launching import OneProcess, Processes
-from drsplat.field.tiles.registering import Work, register_tiles
+from drsplat.field.tiles.registering import Done, register_tiles
 from drsplat.field.tiles.seeing import Gallery, seen_tiles
 from drsplat.field.tiles.store import Remote
 from drsplat.formats.sources import Block, Keep, blocks_of, read_blocks, sources_of
@@ -275,9 +275,9 @@ def inputs(toy: Path) -> tuple[list[ds.View], ds.formats.langsplat.FeatureFolder
     return ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
 
 
-def counted(*given: object, **more: object) -> tuple[ds.Registration, Work]:
+def counted(*given: object, **more: object) -> tuple[ds.Registration, Done]:
     """A registration in tiles, and how much was done for it."""
-    told: list[Work] = []
+    told: list[Done] = []
     made = register_tiles(*given, **more, tell=told.append)  # type: ignore[arg-type]
     return made, told[0]
 

@@ -5,15 +5,18 @@ one. So the nodes of the scene are a forest again, whose rows are those within e
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
+from ...base.arrays import Arrays, Bool, Float32, Float64, Int32, Int64, Integer
+from ...base.working import HERE, Held, Work
 from ...kernels import Forest
-from .block_nodes import BlockNodes
+from .block_nodes import Block, BlockNodes
 from .choosing import NONE
 
 WHOLE_SHARE = 0.8  # of a region's rows: a node that has as many, and is not cut, tells how well masks fit it
@@ -44,17 +47,19 @@ class Masses(NamedTuple):
     far: float
 
 
-def united(parts: Sequence[BlockNodes], masses: Masses) -> United:
-    """Return the forest of a scene from those of its blocks.
+def united(held: Sequence[Held], blocks: Sequence[Block], masses: Masses, work: Work = HERE) -> United:
+    """Return the forest of a scene from those of its blocks. held: the arrays of their `BlockNodes`.
 
     Where a region is whole in one of the blocks, that one's fit counts; of what is cut in all of them the fit is that
     of all its rows. Memory is that of two blocks, of the nodes, and 4 bytes a row.
     """
+    parts = [BlockNodes(**part.arrays) for part in held]
     bases = np.append(0, np.cumsum([len(part.parents) for part in parts]))
+    shared = work(Sharing(held, bases), side_by_side(blocks), "comparing blocks")
     moved = [
         np.where(part.parents >= 0, part.parents + base, NONE) for part, base in zip(parts, bases[:-1], strict=True)
     ]
-    classes = _Classes(np.concatenate(moved), _together(parts, "ranks"), list(_all_shared(parts, bases)))
+    classes = _Classes(np.concatenate(moved), _together(parts, "ranks"), list(chain(*map(_unpacked, shared))))
     parents, members, number = classes.grown()
     node_of = np.full(len(masses.rows), NONE, np.int32)
     for part, base in zip(parts, bases[:-1], strict=True):
@@ -67,15 +72,36 @@ def united(parts: Sequence[BlockNodes], masses: Masses) -> United:
     return United(forest, node_of)
 
 
-def _all_shared(parts: Sequence[BlockNodes], bases: Int64[np.ndarray, " b1"]) -> Iterator[Shared]:
-    """Yield what each two blocks share, if anything."""
-    ends = [(part.rows[0], part.rows[-1]) if len(part.rows) else (0, NONE) for part in parts]
-    for i, one in enumerate(parts):
-        for j in range(i + 1, len(parts)):
-            if ends[i][0] <= ends[j][1] and ends[j][0] <= ends[i][1]:
-                shared = _shared(one, parts[j], int(bases[i]), int(bases[j]))
-                if len(shared.counts):
-                    yield shared
+def side_by_side(blocks: Sequence[Block]) -> list[tuple[int, list[int]]]:
+    """Return each block's number, and those of later ones whose surroundings meet its own."""
+    low = np.array([block.low - block.around for block in blocks])
+    high = np.array([block.high + block.around for block in blocks])
+    meets = ((low[:, None] <= high) & (high[:, None] >= low)).all(axis=2)
+    return [(number, np.flatnonzero(np.triu(meets, 1)[number]).tolist()) for number in range(len(blocks))]
+
+
+@dataclass(frozen=True, eq=False)
+class Sharing:
+    """Finds what a block shares with others: a `Part`. bases: the number of each block's first node in the scene."""
+
+    parts: Sequence[Held]
+    bases: Int64[np.ndarray, " b1"]
+
+    def __call__(self, task: tuple[int, list[int]], threads: int) -> Arrays:
+        first, others = task
+        one = BlockNodes(**self.parts[first].arrays)
+        found = [Shared(*(np.empty(0, np.int64),) * 3)]
+        for other in others:
+            bases = int(self.bases[first]), int(self.bases[other])
+            found.append(_shared(one, BlockNodes(**self.parts[other].arrays), *bases))
+        arrays = {name: np.concatenate([getattr(pair, name) for pair in found]) for name in Shared._fields}
+        return {**arrays, "ends": np.cumsum([len(pair.counts) for pair in found])}
+
+
+def _unpacked(held: Held) -> Iterator[Shared]:
+    """Yield what a block shares with each other, if anything."""
+    for begin, end in pairwise(np.unique(held.arrays["ends"]).tolist()):
+        yield Shared(*(held.arrays[name][begin:end] for name in Shared._fields))
 
 
 def _shared(one: BlockNodes, other: BlockNodes, first: int, second: int) -> Shared:

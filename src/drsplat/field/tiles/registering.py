@@ -24,6 +24,7 @@ from scipy.sparse import csr_array
 
 from ...base.arrays import Arrays, ArraysByName, Embeddings, Flags, Ids, Indices, UnsignedIds
 from ...base.contents import pieces
+from ...base.working import Work
 from ...formats.tensors import map_tensors, write_tensors
 from ...formats.tiles import Tiles
 from ...kernels import default_isa, weighted_rows
@@ -50,6 +51,7 @@ from .aggregating import EMBEDDINGS_FILE, OfTiles, OnRuns, TileAggregator, is_by
 from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, make_once, store_of
+from .tasks import ByTasks
 from .transposing import RowMaker, Run, filed, joined_rows, rows_name, runs_of
 
 
@@ -115,7 +117,7 @@ def embeddings_file(columns: Path) -> Path:
     return columns.with_name(columns.name.replace(".columns.", ".embeddings."))
 
 
-class Work(NamedTuple):
+class Done(NamedTuple):
     """How much of a registration was done now, and how much was there from before."""
 
     views: int
@@ -134,7 +136,7 @@ def register_tiles(
     launcher: Launcher = ONE_PROCESS,
     threads: int = 0,
     track: Track = untracked,
-    tell: Callable[[Work], None] = lambda _: None,
+    tell: Callable[[Done], None] = lambda _: None,
 ) -> Registration:
     """Register views on tiles in the memory of a few of them; the bits equal those of `field.registration.register`.
 
@@ -167,7 +169,7 @@ def register_tiles(
     masks = masks_of([by_name[one.view_name] for one in made], widths)
     evidence = Evidence(joined_rows(runs, store, sum(widths)), masks, embeddings)
     new = sum(one.is_new for one in made)
-    tell(Work(new, len(made) - new, sum(new_rows), len(runs) - sum(new_rows)))
+    tell(Done(new, len(made) - new, sum(new_rows), len(runs) - sum(new_rows)))
     provenance = provenance_of([view for view, _ in chosen], [one.key for one in made], features)
     return Registration(
         evidence, tiles.fingerprint, encoder_of(features, made[0].dim), replace(sampling, near=gallery.near),
@@ -288,6 +290,10 @@ class TileCoder(OnRuns):
         if not isinstance(features, OfTiles):
             return AT_ONCE.of_columns(features, kept)
         return self._aggregator.of_columns(features, kept, untracked)
+
+    def work(self, threads: int, track: Track) -> Work:
+        """See RowCoder."""
+        return ByTasks(self.store, self.launcher, self.threads, track, "learnt")
 
     @property
     def _aggregator(self) -> TileAggregator:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...authoring.filming import looking
 from ...base.arrays import Embedding, Float32
+from ...base.working import Here
 from ...errors import DrSplatError
 from ...field import LanguageField
 from ...kernels import boxes, pq_encode
@@ -227,7 +228,7 @@ def _coded(
     """
     left = points.copy()
     for _ in range(stages):
-        centroids = train_centroids(np.ascontiguousarray(_spread(left)), 1, SEED, threads)
+        centroids = train_centroids(np.ascontiguousarray(_spread(left)), 1, SEED, Here(threads))
         step = max(float(np.abs(centroids).max()) / 127, 1e-12)
         steps = np.round(centroids / step)
         coded = np.ascontiguousarray(steps * step, np.float32)

@@ -10,10 +10,10 @@ import numpy as np
 from PIL import Image
 
 from ....base.arrays import Doubles, MaskIds, Pixels
+from ....base.working import Track, untracked
 from ....formats.captures import SparsePoints
 from ....formats.mask_files import SUFFIX
 from ....formats.replacing import replacing
-from ....kernels.kmeans import Track, untracked
 from ....scene.lens import distort_points
 from ....scene.photo_masks import MIN_WHITE
 from ....scene.photos import load_image, photo_size
