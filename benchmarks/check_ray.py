@@ -4,9 +4,10 @@
     python benchmarks/check_ray.py demo [--rows 8192]
 
 Both nodes are processes of this machine. After each kill the same command is given again until the field is there.
-The kill comes when some photos are registered, when some votes are weighed (by the aggregator robust), and when some
-blocks have their nodes; runs and blocks are made small, so that there are several. Printed: whether the field's files
-are those of a run without Ray, and how many files of tasks were written more than once.
+The kill comes when some photos are registered, when some votes are weighed (by the aggregator robust), when a part of
+the codebook is trained, when some blocks have their nodes, when some are compared, and when some nodes are added up;
+runs and blocks are made small, so that there are several. Printed: whether the field's files are those of a run
+without Ray, and how many files of tasks were written more than once.
 """
 
 import argparse
@@ -33,9 +34,10 @@ RAY = [sys.executable, "-m", "ray.scripts.scripts"]
 SMALL = """
 import sys
 from drsplat.cli import main
-from drsplat.field.objects import by_blocks, finding
+from drsplat.field.objects import describing, finding
 from drsplat.field.tiles import transposing
-finding.MAX_WEIGHTS, by_blocks.BLOCK_WEIGHTS, transposing.RUN_BYTES = 0, 500_000, 4 << 20
+finding.MAX_WEIGHTS, finding.BLOCK_WEIGHTS, transposing.RUN_BYTES = 0, 500_000, 4 << 20
+describing.ROWS_SUMMED_AT_ONCE = 1 << 14
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -51,12 +53,15 @@ class Stage(NamedTuple):
 
 def stages(tiles: Path, demo: Path, field: Path) -> list[Stage]:
     features = ["--features", str(demo / "language_features"), "--output", str(field), "--threads", "1", "--json"]
-    register = ["register", str(tiles), str(demo), *features, "--aggregator", "robust"]
+    register = ["register", str(tiles), str(demo), *features, "--aggregator", "robust", "--code", "pq"]
     objects = ["objects", str(field), "--scene", str(tiles), "--threads", "1", "--json"]
     return [
         Stage("photos", register, "field.json", ("*.columns.safetensors", 5)),
-        Stage("votes", register, "field.json", ("made/*/*.rows.safetensors", 3)),
-        Stage("objects", objects, "objects.safetensors", ("objects/*.nodes.safetensors", 1)),
+        Stage("votes", register, "field.json", ("made/*.weighing.safetensors", 3)),
+        Stage("codebook", register, "field.json", ("made/*.centroids.safetensors", 1)),
+        Stage("blocks", objects, "objects.safetensors", ("objects/*.nodes.safetensors", 1)),
+        Stage("comparing", objects, "objects.safetensors", ("objects/*.sharing.safetensors", 1)),
+        Stage("describing", objects, "objects.safetensors", ("objects/*.summing.safetensors", 1)),
     ]
 
 
@@ -107,25 +112,27 @@ def main() -> None:
     parser.add_argument("demo", type=Path)
     parser.add_argument("--rows", type=int, default=8192)
     parser.add_argument("--victims", nargs="+", default=["nobody", "a worker", "a node", "the driver"])
-    parser.add_argument("--stages", nargs="+", default=["photos", "votes", "objects"])
+    parser.add_argument("--stages", nargs="+", default=[stage.name for stage in stages(Path(), Path(), Path())])
     given = parser.parse_args()
     place, rng = Path(tempfile.mkdtemp(prefix="ray-")), random.Random(0)
     tiles, plain = place / "demo.tiles", place / "plain.field"
     cut = [sys.executable, "-m", "drsplat", "tile", str(given.demo / "scene.compressed.ply"), "-o", str(tiles)]
     subprocess.run([*cut, "--rows", str(given.rows)], check=True, stdout=subprocess.DEVNULL)
-    for stage in stages(tiles, given.demo, plain)[1:]:
-        subprocess.run(command(stage.arguments), check=True, stdout=subprocess.DEVNULL)
+    registered = place / "registered.field"
+    first, *_, last = stages(tiles, given.demo, plain)
+    subprocess.run(command(first.arguments), check=True, stdout=subprocess.DEVNULL)
+    shutil.copytree(plain, registered)
+    subprocess.run(command(last.arguments), check=True, stdout=subprocess.DEVNULL)
     with cluster() as (address, another):
         for victim in given.victims:
-            for number in range(3):
-                field, parts = place / f"{number}.field", place / f"{number}.parts"
-                shutil.rmtree(field, ignore_errors=True)
-                shutil.rmtree(parts, ignore_errors=True)
-                stage = stages(tiles, given.demo, field)[number]
+            for stage in stages(tiles, given.demo, field := place / "ray.field"):
                 if stage.name not in given.stages:
                     continue
-                if stage.name == "objects":
-                    shutil.copytree(place / "1.field", field)
+                parts = place / "parts"
+                shutil.rmtree(field, ignore_errors=True)
+                shutil.rmtree(parts, ignore_errors=True)
+                if stage.done != MANIFEST:
+                    shutil.copytree(registered, field)
                 run = command(stage.arguments, "--ray", address, "--parts", str(parts))
                 told = watched(run, stage, field, parts, victim, another, rng)
                 same = all(files(plain)[name] == content for name, content in files(field).items() if name != MANIFEST)
@@ -157,14 +164,13 @@ def watched(
 
 
 def look(parts: Path, seen: dict[str, int], made: Counter[str]) -> None:
-    """Count what was written since; embeddings and the rows of blocks are what tasks are given."""
+    """Count what was written since; embeddings are what tasks are given."""
     for file in parts.rglob("*.safetensors"):
-        given = ".embeddings." in file.name or (file.parent.name == "objects" and ".rows." in file.name)
         try:
             written = file.stat().st_mtime_ns
         except OSError:  # it has its name in a moment
             continue
-        if not given and seen.get(str(file)) != written:
+        if ".embeddings." not in file.name and seen.get(str(file)) != written:
             seen[str(file)] = written
             made[str(file)] += 1
 

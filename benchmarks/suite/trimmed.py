@@ -13,6 +13,8 @@ from jaxtyping import Float32, Float64, Int64
 from scipy.sparse import csr_array
 
 from drsplat import LanguageField
+from drsplat.base.working import HERE
+from drsplat.field.evidence.pieces import HeldRows
 from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import _exclusive, heaviest, node_weights
 from drsplat.query.contrast import Contrast
@@ -38,7 +40,8 @@ class Wholes:
         assert objects is not None
         assert evidence is not None
         tree = Tree(objects.node_of, objects.parents, objects.levels, objects.sure)
-        return heaviest(_exclusive(node_weights(evidence, tree), evidence), MOST)
+        totals = HeldRows.of(evidence.weights, HERE).totals()
+        return heaviest(_exclusive(node_weights(evidence, tree), totals), MOST)
 
     @cached_property
     def described(self) -> dict[str, Contrast]:

@@ -13,8 +13,8 @@ from scipy.sparse import csr_array
 from test_objects_found import registered
 
 import drsplat as ds
-from drsplat.cli import main
 from drsplat.base.working import HERE
+from drsplat.cli import main
 from drsplat.errors import FormatError
 from drsplat.field.objects import finding
 from drsplat.field.objects.block_nodes import BlockNodes, in_blocks

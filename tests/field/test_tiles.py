@@ -23,7 +23,7 @@ from drsplat.field.codes import Smaller
 from drsplat.field.evidence.aggregation import Aggregator
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.launching import OneProcess, Processes
-from drsplat.field.tiles.registering import Done, register_tiles
+from drsplat.field.tiles.registering import Work, register_tiles
 from drsplat.field.tiles.seeing import Gallery, seen_tiles
 from drsplat.field.tiles.store import Remote
 from drsplat.formats.sources import Block, Keep, blocks_of, read_blocks, sources_of
@@ -275,9 +275,9 @@ def inputs(toy: Path) -> tuple[list[ds.View], ds.formats.langsplat.FeatureFolder
     return ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
 
 
-def counted(*given: object, **more: object) -> tuple[ds.Registration, Done]:
+def counted(*given: object, **more: object) -> tuple[ds.Registration, Work]:
     """A registration in tiles, and how much was done for it."""
-    told: list[Done] = []
+    told: list[Work] = []
     made = register_tiles(*given, **more, tell=told.append)  # type: ignore[arg-type]
     return made, told[0]
 
@@ -350,7 +350,7 @@ def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
     tiles, parts = read_tiles(toy / "scene.tiles"), tmp_path / "parts"
     field = register_tiles(tiles, *inputs(toy), parts=parts, threads=1).to_field(ds.Mixture())
-    made = sorted((parts / "codes").iterdir())
+    made = sorted((parts / "made").glob("*.mixing.safetensors"))
     before = [file.stat().st_mtime_ns for file in made]
     assert len(made) > 1
     made[0].write_bytes(b"damaged")
@@ -360,7 +360,7 @@ def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
         False, *[True] * (len(made) - 1)
     ]  # fmt: skip
     again.to_field(ds.Mixture(3))  # another code has files of its own
-    assert len(list((parts / "codes").iterdir())) == 2 * len(made)
+    assert len(list((parts / "made").glob("*.mixing.safetensors"))) == 2 * len(made)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import drsplat as ds
 from drsplat.errors import InputError
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.launching import Ray
-from drsplat.field.tiles.registering import Done, register_tiles
+from drsplat.field.tiles.registering import Work, register_tiles
 from drsplat.formats.sources import blocks_of
 from drsplat.formats.tiles import read_tiles
 from places import IMPORTED
@@ -48,7 +48,7 @@ def cluster() -> Iterator[Ray]:
 def test_a_field_made_on_a_cluster_has_the_same_bits(toy, cluster, tmp_path):
     tiles = read_tiles(toy / "scene.tiles")
     views, features = ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
-    told: list[Done] = []
+    told: list[Work] = []
     how = {"parts": tmp_path / "parts", "launcher": cluster, "threads": 1}
     made = register_tiles(tiles, views, features, **how, tell=told.append)
     assert told[0].views == 4

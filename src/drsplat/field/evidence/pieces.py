@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from ...base.arrays import Indices
+from ...base.arrays import Doubles, Indices
 from ...base.contents import release
 from ...base.working import Held, Work
 
@@ -39,6 +39,11 @@ class HeldRows:
         arrays = self.pieces[number].arrays
         shape = (len(arrays["indptr"]) - 1, self.columns)
         return csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
+
+    def totals(self) -> Doubles:
+        """Return the weight of each column."""
+        pieces = map(self.piece, range(len(self.pieces)))
+        return np.sum([np.bincount(one.indices, one.data, self.columns) for one in pieces], axis=0)
 
     def rows(self, numbers: Indices) -> csr_array:
         """Return some rows of W in their order."""

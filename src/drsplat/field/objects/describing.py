@@ -54,18 +54,19 @@ def describe(
     if tree.node_of.shape != (len(field),):
         raise InputError(f"node_of: expected one node for each of {len(field)} rows, got {tree.node_of.shape}")
     check_forest(tree.node_of, tree.parents, tree.levels)
-    inside = _members(tree.node_of, tree.parents)
+    inside, (order, begins) = _inside(tree.parents), _by_node(tree.node_of, len(tree.parents))
+    counts = (inside @ np.diff(begins)).astype(np.int64)
+    if not counts.all():
+        raise InputError(f"node {counts.argmin()} has no rows, neither of its own nor below it")
     work, evidence = work or Here(threads), field.evidence
     rows = HeldRows.of(evidence.weights, work)
-    order, begins = _by_node(tree.node_of, len(tree.parents))
     weights = _summed(rows, inside, (order, begins), work)
     scene = {name: getattr(gaussians, name) for name in SHAPES} | {
         "weights": weights.data, "columns": weights.indices, "starts": weights.indptr,
-        "totals": _totals(rows, work), "views": evidence.masks.views, "embeddings": evidence.embeddings,
+        "totals": rows.totals(), "views": evidence.masks.views, "embeddings": evidence.embeddings,
         "inside": inside.indices, "inside_starts": inside.indptr, "order": field.gaussian_ids[order], "begins": begins,
     }  # fmt: skip
     describing = Describing(work.hold(scene), rows.columns, field.up, gaussians.origin)
-    counts = (inside @ np.diff(begins)).astype(np.int64)
     found = [one.arrays for one in work(describing, _runs(counts, ROWS_AT_ONCE, NODES_AT_ONCE), "describing objects")]
     told = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
     starts = {name: np.append(0, np.cumsum(told.pop(name))) for name in ("mask_starts", "descriptor_starts")}
@@ -127,17 +128,6 @@ class Summing:
         return {"starts": np.diff(summed.indptr), "columns": summed.indices, "weights": summed.data}
 
 
-@dataclass(frozen=True, eq=False)
-class MaskTotals:
-    """Adds up a piece of W by columns: a `Part`."""
-
-    weights: HeldRows
-
-    def __call__(self, number: int, threads: int) -> Arrays:
-        piece = self.weights.piece(number)
-        return {"totals": np.bincount(piece.indices, piece.data, piece.shape[1])}
-
-
 def node_weights(evidence: Evidence, tree: Tree) -> csr_array:
     """Return (T, M) the summed weight of all rows of a node, those below it included, in each mask."""
     return _weights(evidence, tree.parents, tree.node_of)
@@ -155,18 +145,9 @@ def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 
     objects, rows = whole.objects, whole.rows_of(some.gaussian_ids)
     node_of = np.where(rows < 0, np.int32(-1), objects.node_of[rows])
     weights = _weights(some.evidence, objects.parents, node_of)
-    totals = _totals(HeldRows.of(some.evidence.weights, HERE), HERE)
+    totals = HeldRows.of(some.evidence.weights, HERE).totals()
     starts, vectors = descriptors(_exclusive(weights, totals), some.evidence.embeddings, threads=threads)
     return replace(objects, node_of=node_of, descriptor_starts=starts, descriptors=vectors)
-
-
-def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"]) -> csr_array:
-    """Return `_inside`, checked. Raises: InputError: a node without rows."""
-    inside, count = _inside(parents), len(parents)
-    empty = np.flatnonzero(inside @ np.bincount(node_of[node_of >= 0], minlength=count) == 0)
-    if len(empty):
-        raise InputError(f"node {empty[0]} has no rows, neither of its own nor below it")
-    return inside
 
 
 def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
@@ -175,11 +156,9 @@ def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
     return csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(parents),) * 2)
 
 
-def _weights(
-    evidence: Evidence, parents: Int32[np.ndarray, " T"], node_of: Int32[np.ndarray, " R"], work: Work = HERE
-) -> csr_array:
+def _weights(evidence: Evidence, parents: Int32[np.ndarray, " T"], node_of: Int32[np.ndarray, " R"]) -> csr_array:
     """Return (T, M): the summed weight of all rows of a node in each mask."""
-    return _summed(HeldRows.of(evidence.weights, work), _inside(parents), _by_node(node_of, len(parents)), work)
+    return _summed(HeldRows.of(evidence.weights, HERE), _inside(parents), _by_node(node_of, len(parents)), HERE)
 
 
 def _by_node(node_of: Int32[np.ndarray, " R"], count: int) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " T1"]]:
@@ -204,11 +183,6 @@ def _summed(rows: HeldRows, inside: csr_array, by_node: tuple[np.ndarray, np.nda
     summed.eliminate_zeros()
     summed.sort_indices()
     return summed
-
-
-def _totals(rows: HeldRows, work: Work) -> Float64[np.ndarray, " M"]:
-    parts = work(MaskTotals(rows), range(len(rows.pieces)), "adding up masks")
-    return np.sum([one.arrays["totals"] for one in parts], axis=0)
 
 
 def _csr(

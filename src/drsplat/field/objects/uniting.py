@@ -4,9 +4,8 @@ Round by round of the merging, regions of two blocks are one where they share mo
 one. So the nodes of the scene are a forest again, whose rows are those within each block.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +58,7 @@ def united(held: Sequence[Held], blocks: Sequence[Block], masses: Masses, work: 
     moved = [
         np.where(part.parents >= 0, part.parents + base, NONE) for part, base in zip(parts, bases[:-1], strict=True)
     ]
-    classes = _Classes(np.concatenate(moved), _together(parts, "ranks"), list(chain(*map(_unpacked, shared))))
+    classes = _Classes(np.concatenate(moved), _together(parts, "ranks"), [Shared(**one.arrays) for one in shared])
     parents, members, number = classes.grown()
     node_of = np.full(len(masses.rows), NONE, np.int32)
     for part, base in zip(parts, bases[:-1], strict=True):
@@ -72,45 +71,30 @@ def united(held: Sequence[Held], blocks: Sequence[Block], masses: Masses, work: 
     return United(forest, node_of)
 
 
-def side_by_side(blocks: Sequence[Block]) -> list[tuple[int, list[int]]]:
-    """Return each block's number, and those of later ones whose surroundings meet its own."""
+def side_by_side(blocks: Sequence[Block]) -> list[list[int]]:
+    """Return the pairs of blocks whose surroundings meet."""
     low = np.array([block.low - block.around for block in blocks])
     high = np.array([block.high + block.around for block in blocks])
     meets = ((low[:, None] <= high) & (high[:, None] >= low)).all(axis=2)
-    return [(number, np.flatnonzero(np.triu(meets, 1)[number]).tolist()) for number in range(len(blocks))]
+    pairs: list[list[int]] = np.argwhere(np.triu(meets, 1)).tolist()
+    return pairs
 
 
 @dataclass(frozen=True, eq=False)
 class Sharing:
-    """Finds what a block shares with others: a `Part`. bases: the number of each block's first node in the scene."""
+    """Finds what two blocks share: a `Part`. bases: the number of each block's first node in the scene."""
 
     parts: Sequence[Held]
     bases: Int64[np.ndarray, " b1"]
 
-    def __call__(self, task: tuple[int, list[int]], threads: int) -> Arrays:
-        first, others = task
-        one = BlockNodes(**self.parts[first].arrays)
-        found = [Shared(*(np.empty(0, np.int64),) * 3)]
-        for other in others:
-            bases = int(self.bases[first]), int(self.bases[other])
-            found.append(_shared(one, BlockNodes(**self.parts[other].arrays), *bases))
-        arrays = {name: np.concatenate([getattr(pair, name) for pair in found]) for name in Shared._fields}
-        return {**arrays, "ends": np.cumsum([len(pair.counts) for pair in found])}
-
-
-def _unpacked(held: Held) -> Iterator[Shared]:
-    """Yield what a block shares with each other, if anything."""
-    for begin, end in pairwise(np.unique(held.arrays["ends"]).tolist()):
-        yield Shared(*(held.arrays[name][begin:end] for name in Shared._fields))
-
-
-def _shared(one: BlockNodes, other: BlockNodes, first: int, second: int) -> Shared:
-    _, at, there = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
-    sure = one.sure[at] & other.sure[there]
-    nodes = np.stack([one.lowest[at[sure]], other.lowest[there[sure]]], axis=1).astype(np.int64)
-    pairs, counts = np.unique(nodes[(nodes >= 0).any(axis=1)], axis=0, return_counts=True)
-    a, b = (np.where(pairs[:, k] >= 0, pairs[:, k] + base, NONE) for k, base in enumerate((first, second)))
-    return Shared(a, b, counts)
+    def __call__(self, pair: list[int], threads: int) -> Arrays:
+        one, other = (BlockNodes(**self.parts[number].arrays) for number in pair)
+        _, at, there = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
+        sure = one.sure[at] & other.sure[there]
+        nodes = np.stack([one.lowest[at[sure]], other.lowest[there[sure]]], axis=1).astype(np.int64)
+        pairs, counts = np.unique(nodes[(nodes >= 0).any(axis=1)], axis=0, return_counts=True)
+        a, b = (np.where(side >= 0, side + base, NONE) for side, base in zip(pairs.T, self.bases[pair], strict=True))
+        return Shared(a, b, counts)._asdict()
 
 
 class _Classes:
