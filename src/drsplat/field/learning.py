@@ -53,8 +53,8 @@ def learn(
     spread = np.linspace(0, len(some) - 1, count).astype(np.int64)
     points = some.rows(spread).features(0, count, threads=threads)
     directed = points[points.any(1)]
-    how = {"encoder": encoder, "threads": threads, "track": track, "work": work}
-    return Learnt(views, codebook=train_codebook(directed, code.parts(encoder.dim), **how))
+    parts = code.parts(encoder.dim)
+    return Learnt(views, train_codebook(directed, parts, encoder=encoder, threads=threads, track=track, work=work))
 
 
 def learning_views(evidence: Evidence) -> tuple[str, ...]:

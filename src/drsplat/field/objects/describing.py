@@ -27,7 +27,7 @@ from ..evidence.pieces import HeldRows
 from ..forest import MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
 from .choosing import Tree, pairs_above
 
-ROWS_AT_ONCE, NODES_AT_ONCE = 1 << 20, 512  # of nodes that are described
+ROWS_AT_ONCE, NODES_AT_ONCE = 1 << 18, 128  # of nodes that are described
 ROWS_SUMMED_AT_ONCE = 1 << 16
 SHAPES = ("means", "quats", "scales", "opacities")
 MIN_SHOWN_SHARE = 0.01  # of what the best photo of a node shows of it
@@ -70,7 +70,8 @@ def describe(
     found = [one.arrays for one in work(describing, _runs(counts, ROWS_AT_ONCE, NODES_AT_ONCE), "describing objects")]
     told = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
     starts = {name: np.append(0, np.cumsum(told.pop(name))) for name in ("mask_starts", "descriptor_starts")}
-    return Objects(*tree, masses=_masses(field, gaussians, inside, tree.node_of), **told, **starts)
+    masses = _masses(field, gaussians, inside, tree.node_of)
+    return Objects(**tree._asdict(), masses=masses, **told, **starts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +102,11 @@ class Describing:
 
     def _boxes(self, starts: Int64[np.ndarray, " k1"], ids: Int64[np.ndarray, " e"], threads: int) -> Boxes:
         """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can."""
-        shapes = [self.scene.arrays[name] for name in SHAPES]
-        gaussians = Gaussians(*shapes, np.broadcast_to(np.float32(0), (len(shapes[0]), 1, 3)), origin=self.origin)
+        means, quats, scales, opacities = (self.scene.arrays[name] for name in SHAPES)
+        colours = np.broadcast_to(np.float32(0), (len(means), 1, 3))
+        gaussians = Gaussians(means, quats, scales, opacities, colours, origin=self.origin)
         nodes, count = np.repeat(np.arange(len(starts) - 1), np.diff(starts)), len(starts) - 1
-        seen = gaussians.opacities[ids] >= HAZE_OPACITY
+        seen = opacities[ids] >= HAZE_OPACITY
         seen |= (np.bincount(nodes[seen], minlength=count) == 0)[nodes]
         counts = np.bincount(nodes[seen], minlength=count)
         return boxes_of(gaussians, np.append(0, np.cumsum(counts)), ids[seen], self.up, threads=threads)
@@ -123,7 +125,7 @@ class Summing:
         place = np.empty(len(rows), np.int32)
         place[np.argsort(rows)] = np.arange(len(rows), dtype=np.int32)  # each node's rows stay in their order
         starts = np.append(0, np.cumsum(np.diff(begins)[nodes])).astype(np.int32)
-        own = csr_array((np.ones(len(rows), np.float32), place, starts), shape=(len(nodes), len(rows)))
+        own = _csr(starts, place, np.ones(len(rows), np.float32), len(rows))
         summed = csr_array(own @ self.weights.rows(np.sort(rows)))
         return {"starts": np.diff(summed.indptr), "columns": summed.indices, "weights": summed.data}
 
@@ -161,7 +163,7 @@ def _weights(evidence: Evidence, parents: Int32[np.ndarray, " T"], node_of: Int3
     return _summed(HeldRows.of(evidence.weights, HERE), _inside(parents), _by_node(node_of, len(parents)), HERE)
 
 
-def _by_node(node_of: Int32[np.ndarray, " R"], count: int) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " T1"]]:
+def _by_node(node_of: Int32[np.ndarray, " R"], count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows that are in a node, in the order of nodes, and where those of each begin."""
     order = np.argsort(node_of, kind="stable")
     begins = np.searchsorted(node_of[order], np.arange(count + 1))
@@ -185,13 +187,11 @@ def _summed(rows: HeldRows, inside: csr_array, by_node: tuple[np.ndarray, np.nda
     return summed
 
 
-def _csr(
-    starts: Integer[np.ndarray, " t1"], columns: Integer[np.ndarray, " e"], data: np.ndarray, count: int
-) -> csr_array:
+def _csr(starts: np.ndarray, columns: np.ndarray, data: np.ndarray, count: int) -> csr_array:
     return csr_array((data, columns, starts), shape=(len(starts) - 1, count))
 
 
-def _runs(counts: Integer[np.ndarray, " T"], most: int, many: int) -> list[Int64[np.ndarray, " k"]]:
+def _runs(counts: Integer[np.ndarray, " T"], most: int, many: int) -> list[np.ndarray]:
     """Cut the numbers of nodes into runs that have up to `most` rows, or one node, and up to `many` nodes."""
     ends, begins = np.cumsum(counts), [0]
     while begins[-1] < len(counts):
