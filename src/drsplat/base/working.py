@@ -54,7 +54,7 @@ class Work(Protocol):
     @property
     def threads(self) -> int: ...
     def hold(self, arrays: ArraysByName) -> Held:
-        """Hold arrays so that every part can have them."""
+        """Keep arrays where every part can have them."""
 
     def __call__(self, part: Part[T], items: Sequence[T], doing: str) -> list[Held]:
         """Return what `part` makes of each item, in their order. Both can be pickled. doing: a text for people."""

@@ -23,7 +23,7 @@ class HeldRows:
 
     @classmethod
     def of(cls, weights: csr_array, work: Work) -> "HeldRows":
-        """Hold W for the parts of `work`."""
+        """Keep W where the parts of `work` can have it."""
         ends = np.searchsorted(weights.indptr, np.arange(PIECE_ENTRIES, weights.indptr[-1], PIECE_ENTRIES))
         starts = np.array([0, *ends, weights.shape[0]])
         pieces = []
