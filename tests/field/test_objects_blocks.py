@@ -14,11 +14,12 @@ from test_objects_found import registered
 
 import drsplat as ds
 from command_line import answer_of, error_of
+from drsplat.base.working import HERE
 from drsplat.cli import main
 from drsplat.errors import FormatError
 from drsplat.field.objects import finding
-from drsplat.field.objects.block_nodes import in_blocks, nodes_of
-from drsplat.field.objects.finding import Division, at_once
+from drsplat.field.objects.block_nodes import BlockNodes, in_blocks
+from drsplat.field.objects.finding import Division
 from drsplat.field.objects.uniting import fits_of, united
 from drsplat.field.tiles import finding as in_tiles
 from drsplat.field.tiles import store
@@ -109,9 +110,10 @@ def test_fits_are_those_of_the_forest():
     """Of nodes of a block that is all of the scene: the sums of their rows have the fit that the kernel found."""
     scene, field = row_of_things(seed=4)
     division = divided(scene, field)
-    (block,) = division.blocks
-    nodes = nodes_of(division.rows(block), division.thresholds, division.rule)
-    forest = united([nodes], division.masses).forest
+    held = HERE(division.nodes, division.blocks, "")
+    (nodes,) = (BlockNodes(**one.arrays) for one in held)
+    assert field.evidence is not None
+    forest = united(held, division.blocks, division.masses).forest
     place = np.zeros((len(nodes.parents), len(field.evidence)), np.float32)
     for row, node in zip(nodes.rows, nodes.lowest.tolist(), strict=True):
         while node >= 0:
@@ -125,9 +127,9 @@ def test_fits_are_those_of_the_forest():
 def test_what_blocks_cut_off_is_judged_by_all_of_its_rows(small_blocks):
     scene, field = row_of_things(seed=5)
     division = divided(scene, field)
-    parts = list(at_once(division))
-    assert any(part.cut.any() for part in parts)  # the plank
-    found = united(parts, division.masses)
+    parts = HERE(division.nodes, division.blocks, "")
+    assert any(part.arrays["cut"].any() for part in parts)  # the plank
+    found = united(parts, division.blocks, division.masses)
     largest = int(found.forest.sizes.argmax())
     assert found.forest.sizes[largest] > 850
     assert found.forest.fits[largest] > 0.95
@@ -171,9 +173,9 @@ def test_objects_of_tiles_are_those_of_the_whole(tmp_path, small_blocks, launche
     for name, array in whole.tensors().items():
         assert_array_equal(array, found.tensors()[name])
     files = {file: file.stat().st_mtime_ns for file in (tmp_path / "parts").rglob("*.safetensors")}
-    assert sum(".borders." in file.name for file in files) == 4
+    assert sum(".bordering." in file.name for file in files) == 4
     assert sum(".nodes." in file.name for file in files) > 2
-    assert not any(".rows." in file.name for file in files)  # they go with the task that needs them
+    assert {"sharing", "growing", "summing", "describing"} <= {file.name.split(".")[1] for file in files}
     damaged = next(file for file in files if ".nodes." in file.name)
     damaged.write_bytes(damaged.read_bytes()[:-9])
     in_tiles.find_objects(field, tiles, **how)

@@ -154,7 +154,8 @@ def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch):
     assert left.tolist() == names[~gone].tolist()  # a view that is not drawn changes nothing
     monkeypatch.setattr("drsplat.field.objects.finding.MAX_WEIGHTS", int(2.5 * len(points)))
     monkeypatch.setattr("drsplat.field.objects.finding.WEIGHTS_PER_ROW", 0)
-    assert divided(whole, points.astype(np.float32)).kept.tolist() == (~gone)[whole.masks.views].tolist()
+    kept = divided(whole, points.astype(np.float32)).nodes.scene.arrays["kept"]
+    assert kept.tolist() == (~gone)[whole.masks.views].tolist()
     assert find_objects(field, scene).num_views.tolist() == [7, 7, 7]  # described from all
 
 

@@ -372,7 +372,7 @@ def written(folder: Path) -> dict[str, int]:
 def test_codes_that_are_there_are_not_made_again(monkeypatch, tiles, parts, views, features):
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
     field = register_tiles(tiles, views, features, parts=parts, threads=1).to_field(ds.Mixture())
-    made = sorted((parts / "codes").iterdir())
+    made = sorted((parts / "made").glob("*.mixing.safetensors"))
     before = [file.stat().st_mtime_ns for file in made]
     assert len(made) > 1
     made[0].write_bytes(b"damaged")
@@ -382,7 +382,7 @@ def test_codes_that_are_there_are_not_made_again(monkeypatch, tiles, parts, view
         False, *[True] * (len(made) - 1)
     ]  # fmt: skip
     again.to_field(ds.Mixture(3))  # another code has files of its own
-    assert len(list((parts / "codes").iterdir())) == 2 * len(made)
+    assert len(list((parts / "made").glob("*.mixing.safetensors"))) == 2 * len(made)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Registration of tiles on a Ray cluster: the same bits, whoever is killed."""
+"""Registration and objects of tiles on a Ray cluster: the same bits, whoever is killed."""
 
 import os
 import signal
@@ -9,6 +9,8 @@ import pytest
 
 import drsplat as ds
 from drsplat.errors import InputError
+from drsplat.field.objects import finding
+from drsplat.field.tiles import finding as in_tiles
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.launching import Ray
 from drsplat.field.tiles.registering import register_tiles
@@ -55,8 +57,24 @@ def test_a_field_made_on_a_cluster_has_the_same_bits(toy, cluster, tmp_path):
     at_once = ds.register(tiles.gaussians(), views, features)
     made.to_field().save(tmp_path / "a.field")
     at_once.to_field().save(tmp_path / "b.field")
+    assert list((tmp_path / "parts").glob("made/*.centroids.safetensors"))  # the codebook is trained there
     for file in sorted((tmp_path / "a.field").iterdir()):
         assert file.read_bytes() == (tmp_path / "b.field" / file.name).read_bytes(), file.name
+
+
+def test_objects_found_on_a_cluster_have_the_same_bits(toy, cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
+    monkeypatch.setattr(finding, "BLOCK_WEIGHTS", 200)
+    tiles = read_tiles(toy / "scene.tiles")
+    views, features = ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
+    field = ds.register(tiles.gaussians(), views, features).to_field()
+    parts = tmp_path / "parts"
+    found = in_tiles.find_objects(field, tiles, parts=str(parts), views=views, launcher=cluster, threads=1)
+    whole = finding.find_objects(field, tiles.gaussians(), views=views)
+    for name, array in whole.tensors().items():
+        assert array.tobytes() == found.tensors()[name].tobytes(), name
+    kinds = {file.name.split(".")[1] for file in (parts / "objects").glob("*.safetensors")}
+    assert kinds >= {"totals", "nodes", "sharing", "bordering", "growing", "summing", "describing"}
 
 
 def _dies_once(item: Path) -> str:

@@ -8,6 +8,7 @@ from scipy.sparse import csr_array
 
 from ..base.arrays import Embeddings, Flags, Indices, OtherIds, UnsignedIds
 from ..base.contents import release
+from ..base.working import Here, Work
 from ..errors import InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
 from ..scene.gaussians import Gaussians
@@ -48,6 +49,9 @@ class RowCoder(Protocol):
     def of_columns(self, features: Aggregated, kept: Flags) -> Aggregated:
         """Return rows to learn a code from: a `Sampler`."""
 
+    def work(self, threads: int, track: Track) -> Work:
+        """Return who trains a codebook."""
+
     def mixed(
         self, features: Aggregated, seen: Indices, atoms_per_row: int, scene: SceneAtoms | None,
         threads: int, track: Track,
@@ -73,6 +77,10 @@ class AtOnce:
     def of_columns(self, features: Aggregated, kept: Flags) -> Aggregated:
         """See RowCoder."""
         return rows_of_columns(features, kept)
+
+    def work(self, threads: int, track: Track) -> Work:
+        """See RowCoder."""
+        return Here(threads, track)
 
     def mixed(
         self, features: Aggregated, seen: Indices, atoms_per_row: int, scene: SceneAtoms | None,
@@ -134,7 +142,7 @@ def build_field(
     chosen = chosen_code(code, evidence)
     if isinstance(chosen, Mixture):
         evidence = canonical(evidence)  # a mixture names columns
-    learnt = learn(features, chosen, encoder, threads, track, coder.of_columns)
+    learnt = learn(features, chosen, encoder, threads, track, coder.of_columns, coder.work(threads, track))
     coded = _coded(coder, features, seen, chosen, learnt, threads, track)
     ids = seen[coded.directed].astype(np.uint32)
     growth = None if provenance is None else grown_of(provenance, code, evidence, ids, learnt, coded.scene_places)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.arrays import Bool, Flags
+from ..base.working import Work
 from ..scene.encoders import EncoderIdentity
 from .codes import PQ, Codebook, Mixture, Track, train_codebook
 from .codes.codebook import MAX_TRAINING_POINTS
@@ -39,9 +40,9 @@ def rows_of_columns(features: Aggregated, kept: Flags) -> Aggregated:
 
 def learn(
     features: Aggregated, code: PQ | Mixture | Codebook, encoder: EncoderIdentity, threads: int, track: Track,
-    sampler: Sampler = rows_of_columns,
+    sampler: Sampler = rows_of_columns, work: Work | None = None,
 ) -> Learnt:  # fmt: skip
-    """Learn what a code needs beside the rows; a given codebook is taken as it is."""
+    """Learn what a code needs beside the rows; a given codebook is taken as it is. work: who trains a codebook."""
     if isinstance(code, Codebook):
         return Learnt(codebook=code)
     masks, views = features.evidence.masks, learning_views(features.evidence)
@@ -52,9 +53,8 @@ def learn(
     spread = np.linspace(0, len(some) - 1, count).astype(np.int64)
     points = some.rows(spread).features(0, count, threads=threads)
     directed = points[points.any(1)]
-    return Learnt(
-        views, codebook=train_codebook(directed, code.parts(encoder.dim), encoder=encoder, threads=threads, track=track)
-    )
+    parts = code.parts(encoder.dim)
+    return Learnt(views, train_codebook(directed, parts, encoder=encoder, threads=threads, track=track, work=work))
 
 
 def learning_views(evidence: Evidence) -> tuple[str, ...]:

@@ -3,41 +3,20 @@
 The same points and seed give the same bits for any number of threads.
 """
 
-from collections.abc import Iterable, Sequence
-from typing import Protocol, TypeVar, runtime_checkable
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import ByteValues, Embeddings, Float32, Float64, Int, OtherIndices, UInt64
+from ..base.arrays import Arrays, ByteValues, Embeddings, Float32, Float64, Int, OtherIndices, UInt64
+from ..base.working import HERE, Held, Work
 from .algebra import CENTROIDS, code_sums, pq_encode
 
 KMEANS_STEPS = 12
-T = TypeVar("T")
-
-
-@runtime_checkable
-class Track(Protocol):
-    """Function that yields the items of a long job, in order, and shows its progress, such as `base.progress.track`."""
-
-    def __call__(self, items: Sequence[T], description: str, /) -> Iterable[T]: ...
-
-
-class _Untracked:
-    """Track that shows nothing; as a default, `help` shows it by its name."""
-
-    def __call__(self, items: Sequence[T], description: str, /) -> Iterable[T]:
-        """Return the items."""
-        return items
-
-    def __repr__(self) -> str:
-        return "untracked"
-
-
-untracked = _Untracked()
+SUBVECTORS_AT_ONCE = 16
 
 
 def train_centroids(
-    points: Embeddings, num_subvectors: int, seed: int, threads: int = 0, track: Track = untracked
+    points: Embeddings, num_subvectors: int, seed: int, work: Work = HERE
 ) -> Float32[np.ndarray, "L c d"]:
     """Train 256 centroids per sub-vector; one of at most 256 distinct values gets exactly those.
 
@@ -45,24 +24,42 @@ def train_centroids(
 
     Source: Jegou et al. 2011; Lloyd 1982.
     """
-    parts = points.reshape(len(points), num_subvectors, -1)
     rng = np.random.default_rng(seed)
-    starts = [_starts(keys, rng) for keys in _keys(parts).T]
-    centroids = np.stack([parts[index, m] for m, index in enumerate(starts)])
-    previous = None
-    for _ in track(range(KMEANS_STEPS), "training the codebook"):
-        codes = pq_encode(points, centroids, threads=threads)
-        if previous is not None and np.array_equal(codes, previous):
-            break
-        # move each centroid to the mean of its points, in place
-        sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
-        served = counts > 0
-        centroids[served] = sums[served] / counts[served][:, None]
-        for m in np.flatnonzero(~served.all(1)):
-            columns = np.ascontiguousarray(parts[:, m].T, np.float64)
-            _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
-        previous = codes
-    return centroids
+    starts = np.stack([_starts(keys, rng) for keys in _keys(points.reshape(len(points), num_subvectors, -1)).T])
+    spans = [
+        (begin, min(begin + SUBVECTORS_AT_ONCE, num_subvectors))
+        for begin in range(0, num_subvectors, SUBVECTORS_AT_ONCE)
+    ]
+    part = Centroids(work.hold({"points": points, "starts": starts}))
+    return np.concatenate([held.arrays["centroids"] for held in work(part, spans, "training the codebook")])
+
+
+@dataclass(frozen=True, eq=False)
+class Centroids:
+    """Trains the centroids of a span of sub-vectors: a `Part`. given: points, and of which centroids start from."""
+
+    given: Held
+
+    def __call__(self, span: tuple[int, int], threads: int) -> Arrays:
+        starts, points = (self.given.arrays[name] for name in ("starts", "points"))
+        count, width = span[1] - span[0], points.shape[1] // len(starts)
+        points = np.ascontiguousarray(points[:, span[0] * width : span[1] * width])
+        parts = points.reshape(len(points), count, width)
+        centroids = np.stack([parts[index, m] for m, index in enumerate(starts[span[0] : span[1]])])
+        previous = None
+        for _ in range(KMEANS_STEPS):
+            codes = pq_encode(points, centroids, threads=threads)
+            if previous is not None and np.array_equal(codes, previous):
+                break
+            # move each centroid to the mean of its points, in place
+            sums, counts = code_sums(points, codes, threads=threads)
+            served = counts > 0
+            centroids[served] = sums[served] / counts[served][:, None]
+            for m in np.flatnonzero(~served.all(1)):
+                columns = np.ascontiguousarray(parts[:, m].T, np.float64)
+                _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
+            previous = codes
+        return {"centroids": centroids}
 
 
 def _keys(parts: Float32[np.ndarray, "n L d"]) -> UInt64[np.ndarray, "n L"]:

@@ -5,8 +5,8 @@ index of a coarse centroid plus the bytes of what that centroid leaves over.
 Source: Dr. Splat Sec. B; Jegou et al. 2011.
 """
 
+from ...base.working import Track, untracked
 from ...formats.embedding_record import encoder_from_json
-from ...kernels.kmeans import Track, untracked
 from .code import Best, Code, Hits
 from .codebook import Codebook, Codes, codebook_from_tensors, load_codebook, save_codebook, train_codebook
 from .official import OfficialRows, from_official_bytes, official_bytes, read_faiss_codebook

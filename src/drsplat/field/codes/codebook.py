@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...base.arrays import Arrays, ArraysByName, ByteRows, Embeddings, Float32, Numbers, RowIds, SmallIds
+from ...base.working import Here, Track, Work, untracked
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.embedding_record import encoder_from_json
 from ...formats.faiss_index import is_faiss
@@ -18,7 +19,7 @@ from ...formats.json_files import parsed
 from ...formats.tensors import check_tensors, map_tensors, write_tensors
 from ...kernels import QueryTables, lookup_tables, pq_encode
 from ...kernels.algebra import CENTROIDS
-from ...kernels.kmeans import Track, train_centroids, untracked
+from ...kernels.kmeans import train_centroids
 from ...kernels.mixture import nearest_centres
 from ...scene.encoders import EncoderIdentity, identity_json
 
@@ -200,8 +201,9 @@ def train_codebook(
     seed: int = 0,
     threads: int = 0,
     track: Track = untracked,
+    work: Work | None = None,
 ) -> Codebook:
-    """Train a plain codebook; equal to the bit for any number of threads. track: shows progress.
+    """Train a plain codebook; equal to the bit for any number of threads. track: shows progress. work: who trains.
 
     At most 16,384 of the points are used, drawn by `seed`: 64 per centroid. Where a sub-vector has
     up to 256 distinct values, they become its centroids, and are then coded without loss.
@@ -223,7 +225,7 @@ def train_codebook(
         drawn = np.random.default_rng(seed).choice(n, MAX_TRAINING_POINTS, replace=False)
         embeddings = embeddings[np.sort(drawn)]
     points = np.ascontiguousarray(embeddings)
-    return Codebook(train_centroids(points, num_subvectors, seed, threads, track), None, encoder)
+    return Codebook(train_centroids(points, num_subvectors, seed, work or Here(threads, track)), None, encoder)
 
 
 def _blocks(count: int) -> Iterator[slice]:

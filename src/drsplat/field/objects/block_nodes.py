@@ -3,6 +3,7 @@
 Where a block ends is told by places and weights alone, not by tiles, workers or the order of rows.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
 from ...base.arrays import (
+    Arrays,
     Bool,
     Doubles,
     Flags,
@@ -24,9 +26,10 @@ from ...base.arrays import (
     Vector3,
     Vectors,
 )
-from ...base.contents import release
+from ...base.working import Held
 from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.morton import morton_codes, morton_order
+from ..evidence.pieces import HeldRows
 from .choosing import NONE, _owners, pairs_above
 
 NodeFlags = Bool[np.ndarray, " t"]
@@ -41,6 +44,7 @@ SURROUNDINGS_SHARE = 0.3  # of a block's longest side
 BULK_QUANTILES = (0.01, 0.99)  # of places: a side is measured between them, without strays
 CURVE_BITS = 10  # of each coordinate
 ROWS_AT_ONCE = 1 << 20
+OF_MASKS = ("views", "masses", "embeddings")
 
 Points = Vectors
 NUM_NEIGHBOURS = 12
@@ -89,15 +93,6 @@ class BlockRows(NamedTuple):
         return csr_array((self.data, self.indices, self.indptr), shape=(len(self.rows), len(self.columns)))
 
 
-class MaskColumns(NamedTuple):
-    """Columns of W. kept: those that are looked at. masses: weights in the whole scene. views: never falling."""
-
-    kept: Bool[np.ndarray, " m"]
-    masses: Float64[np.ndarray, " m"]
-    views: OfMasks
-    embeddings: Float32[np.ndarray, "m k"]
-
-
 def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> list[Block]:
     """Cut a scene in halves, at medians along its longest side, until no block has more than `most` weights.
 
@@ -120,23 +115,38 @@ def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> l
     return blocks
 
 
-def rows_around(block: Block, points: Points, weights: csr_array, sums: Doubles, masks: MaskColumns) -> BlockRows:
-    """Return the rows of W in a block and around it. sums: the weight of each row."""
-    parts = []
-    for begin in range(0, len(points), ROWS_AT_ONCE):
-        parts.append(begin + np.flatnonzero(block.away(points[begin : begin + ROWS_AT_ONCE]) <= 1))
-    rows = np.concatenate(parts or [np.empty(0, np.int64)])
-    rows = rows[_placed_order(points[rows], sums[rows])]
-    matrix = csr_array(weights[rows])
-    release(weights.indices, weights.data)
-    held = masks.kept[matrix.indices] & (matrix.data > 0)
-    starts = np.append(0, np.cumsum(held))[matrix.indptr]
-    columns, indices = np.unique(matrix.indices[held], return_inverse=True)
-    return BlockRows(
-        rows, block.away(points[rows]), points[rows], starts.astype(np.int64), indices.astype(np.int32),
-        matrix.data[held], columns.astype(np.int32), masks.views[columns], masks.masses[columns],
-        masks.embeddings[columns],
-    )  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Finds the nodes of blocks: a `Part`.
+
+    scene: `points` and `sums`, places and weights of the rows of W; of its columns `kept`, those that are looked at,
+    `masses`, weights in the whole scene, `views`, never falling, and `embeddings`.
+    """
+
+    weights: HeldRows
+    scene: Held
+    thresholds: tuple[float, ...]
+    rule: MergeRule
+
+    def __call__(self, block: Block, threads: int) -> Arrays:
+        return nodes_of(self.around(block), self.thresholds, self.rule, threads)._asdict()
+
+    def around(self, block: Block) -> BlockRows:
+        """Return the rows of W in a block and around it."""
+        scene, parts = self.scene.arrays, [np.empty(0, np.int64)]
+        points = scene["points"]
+        for begin in range(0, len(points), ROWS_AT_ONCE):
+            parts.append(begin + np.flatnonzero(block.away(points[begin : begin + ROWS_AT_ONCE]) <= 1))
+        rows = np.concatenate(parts)
+        rows = rows[_placed_order(points[rows], scene["sums"][rows])]
+        matrix = self.weights.rows(rows)
+        held = scene["kept"][matrix.indices] & (matrix.data > 0)
+        starts = np.append(0, np.cumsum(held))[matrix.indptr]
+        columns, indices = np.unique(matrix.indices[held], return_inverse=True)
+        return BlockRows(
+            rows, block.away(points[rows]), points[rows], starts.astype(np.int64), indices.astype(np.int32),
+            matrix.data[held], columns.astype(np.int32), *(scene[name][columns] for name in OF_MASKS),
+        )  # fmt: skip
 
 
 def _placed_order(points: Points, sums: Doubles) -> Indices:

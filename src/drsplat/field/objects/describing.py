@@ -14,15 +14,17 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float32, Float64, Int32, Int64
+from ...base.arrays import Arrays, Float32, Float64, Int32, Int64, Integer, Vector3
+from ...base.working import HERE, Held, Here, Work
 from ...errors import InputError
 from ...kernels import weighted_rows
 from ...kernels.boxes import Boxes, boxes_of
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
-from ..evidence.aggregation.entries import entry_rows, row_chunks
+from ..evidence.aggregation.entries import entry_rows
 from ..evidence.evidence import Evidence
+from ..evidence.pieces import HeldRows
 from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
 from .choosing import Tree, pairs_above
 
@@ -30,8 +32,9 @@ Entries = Int64[np.ndarray, " e"]
 Starts = Int64[np.ndarray, " T1"]
 NodeOfRow = Int32[np.ndarray, " R"]
 
-ROWS_AT_ONCE = 1 << 20
-NO_BOXES = Boxes(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 3)))
+ROWS_AT_ONCE, NODES_AT_ONCE = 1 << 18, 128  # of nodes that are described
+ROWS_SUMMED_AT_ONCE = 1 << 16
+SHAPES = ("means", "quats", "scales", "opacities")
 MIN_SHOWN_SHARE = 0.01  # of what the best photo of a node shows of it
 MAX_MASKS_CLUSTERED = 64  # of a node, those of the largest weights
 ALIKE_COSINE = 0.8  # what is as near as this to a centre needs none of its own
@@ -40,8 +43,10 @@ LLOYD_ROUNDS = 4  # after each new centre
 ENTRIES_AT_ONCE = 4096
 
 
-def describe(field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads: int = 0) -> Objects:
-    """Describe each node of a tree over the rows of a field. The result has the same bits at any `threads`.
+def describe(
+    field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads: int = 0, work: Work | None = None
+) -> Objects:
+    """Describe each node of a tree over the rows of a field. The result has the same bits at any `threads` and `work`.
 
     Nodes that no row belongs to, themselves or below them, are refused: they would be nowhere.
 
@@ -54,22 +59,85 @@ def describe(field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads:
     if tree.node_of.shape != (len(field),):
         raise InputError(f"node_of: expected one node for each of {len(field)} rows, got {tree.node_of.shape}")
     check_forest(tree.node_of, tree.parents, tree.levels)
-    inside = _members(tree.node_of, tree.parents)
-    weights = _weights(field.evidence, inside, tree.node_of)
-    exclusive = _exclusive(weights, field.evidence)
-    return Objects(
-        *tree,
-        *_boxes(field, gaussians, inside, tree.node_of, threads),
-        _masses(field, gaussians, inside, tree.node_of),
-        _num_views(weights, field.evidence),
-        *_masks(weights),
-        *descriptors(exclusive, field.evidence.embeddings, threads=threads),
-    )
+    inside, (order, begins) = _inside(tree.parents), _by_node(tree.node_of, len(tree.parents))
+    counts = (inside @ np.diff(begins)).astype(np.int64)
+    if not counts.all():
+        raise InputError(f"node {counts.argmin()} has no rows, neither of its own nor below it")
+    work, evidence = work or Here(threads), field.evidence
+    rows = HeldRows.of(evidence.weights, work)
+    weights = _summed(rows, inside, (order, begins), work)
+    scene = {name: getattr(gaussians, name) for name in SHAPES} | {
+        "weights": weights.data, "columns": weights.indices, "starts": weights.indptr,
+        "totals": rows.totals(), "views": evidence.masks.views, "embeddings": evidence.embeddings,
+        "inside": inside.indices, "inside_starts": inside.indptr, "order": field.gaussian_ids[order], "begins": begins,
+    }  # fmt: skip
+    describing = Describing(work.hold(scene), rows.columns, field.up, gaussians.origin)
+    found = [one.arrays for one in work(describing, _runs(counts, ROWS_AT_ONCE, NODES_AT_ONCE), "describing objects")]
+    told = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+    starts = {name: np.append(0, np.cumsum(told.pop(name))) for name in ("mask_starts", "descriptor_starts")}
+    masses = _masses(field, gaussians, inside, tree.node_of)
+    return Objects(**tree._asdict(), masses=masses, **told, **starts)
+
+
+@dataclass(frozen=True, eq=False)
+class Describing:
+    """Describes nodes: a `Part`. scene: shapes of Gaussians; (T, M) weights; (T, T) nodes inside, and their Gaussians.
+
+    columns: M.
+    """
+
+    scene: Held
+    columns: int
+    up: Vector3 | None
+    origin: Vector3
+
+    def __call__(self, nodes: Int64[np.ndarray, " k"], threads: int) -> Arrays:
+        held = self.scene.arrays
+        begins, embeddings, views = held["begins"], held["embeddings"], held["views"]
+        weights = _csr(held["starts"], held["columns"], held["weights"], self.columns)[nodes]
+        inside = _csr(held["inside_starts"], held["inside"], np.ones(len(held["inside"])), len(begins) - 1)[nodes]
+        boxes = self._boxes(*_rows(inside, held["order"], begins), threads)
+        starts, masks, shares = _masks(weights)
+        descriptor_starts, vectors = descriptors(_exclusive(weights, held["totals"]), embeddings, threads=threads)
+        return {
+            "centers": boxes.center, "axes": boxes.axes, "extents": boxes.extent,
+            "num_views": _num_views(weights, views), "mask_starts": np.diff(starts), "masks": masks, "shares": shares,
+            "descriptor_starts": np.diff(descriptor_starts), "descriptors": vectors,
+        }  # fmt: skip
+
+    def _boxes(self, starts: Int64[np.ndarray, " k1"], ids: Int64[np.ndarray, " e"], threads: int) -> Boxes:
+        """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can."""
+        means, quats, scales, opacities = (self.scene.arrays[name] for name in SHAPES)
+        colours = np.broadcast_to(np.float32(0), (len(means), 1, 3))
+        gaussians = Gaussians(means, quats, scales, opacities, colours, origin=self.origin)
+        nodes, count = np.repeat(np.arange(len(starts) - 1), np.diff(starts)), len(starts) - 1
+        seen = opacities[ids] >= HAZE_OPACITY
+        seen |= (np.bincount(nodes[seen], minlength=count) == 0)[nodes]
+        counts = np.bincount(nodes[seen], minlength=count)
+        return boxes_of(gaussians, np.append(0, np.cumsum(counts)), ids[seen], self.up, threads=threads)
+
+
+@dataclass(frozen=True, eq=False)
+class Summing:
+    """Adds up the rows of W of nodes, without those below them: a `Part`. scene: rows in the `order` of nodes."""
+
+    weights: HeldRows
+    scene: Held
+
+    def __call__(self, nodes: Int64[np.ndarray, " k"], threads: int) -> Arrays:
+        order, begins = self.scene.arrays["order"], self.scene.arrays["begins"]
+        rows = np.concatenate([order[:0], *(order[begins[node] : begins[node + 1]] for node in nodes.tolist())])
+        place = np.empty(len(rows), np.int32)
+        place[np.argsort(rows)] = np.arange(len(rows), dtype=np.int32)  # each node's rows stay in their order
+        starts = np.append(0, np.cumsum(np.diff(begins)[nodes])).astype(np.int32)
+        own = _csr(starts, place, np.ones(len(rows), np.float32), len(rows))
+        summed = csr_array(own @ self.weights.rows(np.sort(rows)))
+        return {"starts": np.diff(summed.indptr), "columns": summed.indices, "weights": summed.data}
 
 
 def node_weights(evidence: Evidence, tree: Tree) -> csr_array:
     """Return (T, M) the summed weight of all rows of a node, those below it included, in each mask."""
-    return _weights(evidence, _inside(tree.parents), tree.node_of)
+    return _weights(evidence, tree.parents, tree.node_of)
 
 
 def joined(before: LanguageField, after: LanguageField, gaussians: Gaussians, *, threads: int = 0) -> Objects:
@@ -100,18 +168,10 @@ def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 
     if whole.objects is None or some.evidence is None:
         raise InputError("expected a field with objects, and one with evidence")
     objects, node_of = whole.objects, _kept_nodes(whole, some)
-    weights = _weights(some.evidence, _inside(objects.parents), node_of)
-    starts, vectors = descriptors(_exclusive(weights, some.evidence), some.evidence.embeddings, threads=threads)
+    weights = _weights(some.evidence, objects.parents, node_of)
+    totals = HeldRows.of(some.evidence.weights, HERE).totals()
+    starts, vectors = descriptors(_exclusive(weights, totals), some.evidence.embeddings, threads=threads)
     return replace(objects, node_of=node_of, descriptor_starts=starts, descriptors=vectors)
-
-
-def _members(node_of: NodeOfRow, parents: Int32[np.ndarray, " T"]) -> csr_array:
-    """Return `_inside`, checked. Raises: InputError: a node without rows."""
-    inside, count = _inside(parents), len(parents)
-    empty = np.flatnonzero(inside @ np.bincount(node_of[node_of >= 0], minlength=count) == 0)
-    if len(empty):
-        raise InputError(f"node {empty[0]} has no rows, neither of its own nor below it")
-    return inside
 
 
 def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
@@ -120,54 +180,57 @@ def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
     return csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(parents),) * 2)
 
 
-def _weights(evidence: Evidence, inside: csr_array, node_of: NodeOfRow) -> csr_array:
+def _weights(evidence: Evidence, parents: Int32[np.ndarray, " T"], node_of: NodeOfRow) -> csr_array:
     """Return (T, M): the summed weight of all rows of a node in each mask."""
-    (rows,) = np.nonzero(node_of >= 0)
-    place = node_of[rows].astype(np.int32), rows.astype(np.int32)  # of the kind of W's, which SciPy else copies
-    own = csr_array((np.ones(len(rows), np.float32), place), shape=(inside.shape[0], len(node_of)))
-    summed = inside @ (own @ evidence.weights).astype(np.float64)
+    return _summed(HeldRows.of(evidence.weights, HERE), _inside(parents), _by_node(node_of, len(parents)), HERE)
+
+
+def _by_node(node_of: Int32[np.ndarray, " R"], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows that are in a node, in the order of nodes, and where those of each begin."""
+    order = np.argsort(node_of, kind="stable")
+    begins = np.searchsorted(node_of[order], np.arange(count + 1))
+    return order[begins[0] :], begins - begins[0]
+
+
+def _summed(rows: HeldRows, inside: csr_array, by_node: tuple[np.ndarray, np.ndarray], work: Work) -> csr_array:
+    """Return (T, M): the summed weight of all rows of a node in each mask. by_node: rows, and where nodes' begin."""
+    order, begins = by_node
+    counts = np.diff(begins)
+    first = np.append(order, len(order))[begins[:-1]]  # nodes that are near in the scene are added up together
+    nodes = np.argsort(first, kind="stable")
+    runs = [nodes[run] for run in _runs(counts[nodes], ROWS_SUMMED_AT_ONCE, len(nodes))]
+    summing = Summing(rows, work.hold({"order": order, "begins": begins}))
+    parts = [one.arrays for one in work(summing, runs, "adding up objects")]
+    lengths, columns, data = (np.concatenate([one[name] for one in parts]) for name in ("starts", "columns", "weights"))
+    own = _csr(np.append(0, np.cumsum(lengths)), columns, data, rows.columns)
+    summed = csr_array(inside[:, nodes] @ own.astype(np.float64))
     summed.eliminate_zeros()
     summed.sort_indices()
-    return csr_array(summed)
+    return summed
 
 
-def _boxes(field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: NodeOfRow, threads: int) -> Boxes:
-    """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can.
-
-    Nodes come in batches, so that memory is that of ROWS_AT_ONCE rows, or of the largest node.
-    """
-    order = np.argsort(node_of, kind="stable")
-    begins = np.searchsorted(node_of[order], np.arange(inside.shape[0] + 1))
-    rows_before = np.append(0, np.cumsum(inside @ np.diff(begins)))
-    stops = np.unique(np.searchsorted(rows_before, np.arange(0, rows_before[-1] + ROWS_AT_ONCE, ROWS_AT_ONCE)))
-    stops = np.unique(np.append(np.minimum(stops, inside.shape[0]), [0, inside.shape[0]]))
-    parts = [
-        _boxes_of_some(field, gaussians, *_rows(csr_array(inside[begin:end]), order, begins), threads)
-        for begin, end in pairwise(stops.tolist())
-    ]
-    return Boxes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else NO_BOXES
+def _csr(starts: np.ndarray, columns: np.ndarray, data: np.ndarray, count: int) -> csr_array:
+    return csr_array((data, columns, starts), shape=(len(starts) - 1, count))
 
 
-def _boxes_of_some(
-    field: LanguageField, gaussians: Gaussians, starts: Starts, rows: Entries,
-    threads: int,
-) -> Boxes:  # fmt: skip
-    nodes = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    ids = field.gaussian_ids[rows].astype(np.int64)
-    seen = gaussians.opacities[ids] >= HAZE_OPACITY
-    seen |= (np.bincount(nodes[seen], minlength=len(starts) - 1) == 0)[nodes]
-    counts = np.bincount(nodes[seen], minlength=len(starts) - 1)
-    return boxes_of(gaussians, np.append(0, np.cumsum(counts)), ids[seen], field.up, threads=threads)
+def _runs(counts: Integer[np.ndarray, " T"], most: int, many: int) -> list[np.ndarray]:
+    """Cut the numbers of nodes into runs that have up to `most` rows, or one node, and up to `many` nodes."""
+    ends, begins = np.cumsum(counts), [0]
+    while begins[-1] < len(counts):
+        begin = begins[-1]
+        within = int(np.searchsorted(ends, ends[begin] - counts[begin] + most, side="right"))
+        begins.append(min(max(within, begin + 1), begin + many, len(counts)))
+    return [np.arange(begin, end) for begin, end in pairwise(begins)] or [np.arange(0)]
 
 
-def _rows(inside: csr_array, order: Int64[np.ndarray, " R"], begins: Starts) -> tuple[Starts, Entries]:
+def _rows(inside: csr_array, order: Integer[np.ndarray, " R"], begins: Starts) -> tuple[Starts, Entries]:
     """Return the rows of some nodes and of those below them, in CSR form (starts, rows).
 
     order, begins: all rows in the order of their nodes, and where those of each begin.
     """
     lengths = np.diff(begins)[inside.indices]
     skipped = begins[inside.indices] - (np.cumsum(lengths) - lengths)
-    rows = order[np.arange(lengths.sum()) + np.repeat(skipped, lengths)]
+    rows = order[np.arange(lengths.sum()) + np.repeat(skipped, lengths)].astype(np.int64)
     return np.append(0, np.cumsum(inside @ np.diff(begins))).astype(np.int64), rows
 
 
@@ -180,9 +243,11 @@ def _masses(
     return np.asarray(inside @ own, np.float32)
 
 
-def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"]:
+def _num_views(weights: csr_array, views: Int32[np.ndarray, " M"]) -> Int32[np.ndarray, " T"]:
     """Return the photos that show more than a sliver of each node."""
-    shown = shown_in_photos(weights, evidence)
+    count = int(views.max(initial=-1)) + 1
+    of_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
+    shown = csr_array(weights @ of_view)
     nodes = entry_rows(shown)
     most = np.zeros(shown.shape[0])
     np.maximum.at(most, nodes, shown.data)
@@ -204,15 +269,11 @@ def _masks(weights: csr_array) -> tuple[Starts, Int32[np.ndarray, " E"], Float32
     return kept.indptr.astype(np.int64), kept.indices.astype(np.int32), shares.astype(np.float32)
 
 
-def _exclusive(weights: csr_array, evidence: Evidence) -> csr_array:
+def _exclusive(weights: csr_array, totals: Float64[np.ndarray, " M"]) -> csr_array:
     """Return R_tj q_tj: the weight of node t in mask j, times the share of the mask's weight that lies in the node.
 
-    A mask of the whole table says little of the mug on it.
+    A mask of the whole table says little of the mug on it. totals: the weight of each mask.
     """
-    totals = np.zeros(len(evidence.masks))
-    for rows in row_chunks(evidence.weights):  # added up in turn, as if all at once
-        entries = slice(evidence.weights.indptr[rows.start], evidence.weights.indptr[rows.stop])
-        np.add.at(totals, evidence.weights.indices[entries], evidence.weights.data[entries].astype(np.float64))
     exclusive = weights.data * (weights.data / np.maximum(totals[weights.indices], weights.data))
     return csr_array((exclusive, weights.indices, weights.indptr), shape=weights.shape)
 

@@ -10,16 +10,16 @@ a block   -> its nodes            in the memory of that block, by whoever has ti
 all nodes -> nodes of the scene   what two blocks see of one region is told by the rows that both look at
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Float32, Float64, Ids, Int32, Int64, UInt32
+from ...base.arrays import Arrays, Bool, Float32, Ids, Int32, UInt32
 from ...base.contents import release
+from ...base.working import HERE, Held, Here, Work
 from ...errors import InputError
 from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.gaussians import Gaussians
@@ -27,19 +27,10 @@ from ...scene.views import View
 from .. import LanguageField
 from ..evidence.aggregation.entries import column_counts, row_chunks
 from ..evidence.evidence import Evidence
+from ..evidence.pieces import HeldRows
 from ..forest import THING, Objects
 from ..learning import drawn
-from .block_nodes import (
-    Block,
-    BlockNodes,
-    BlockRows,
-    MaskColumns,
-    along_a_curve,
-    in_blocks,
-    neighbours,
-    nodes_of,
-    rows_around,
-)
+from .block_nodes import Block, Nodes, along_a_curve, in_blocks, neighbours
 from .borders import Borders, borders, some_views
 from .choosing import NONE, Tree, _owners, choose, choose_among
 from .describing import describe
@@ -58,70 +49,42 @@ WEIGHTS_PER_ROW = 64  # on average, of scenes in blocks: of more, those of some 
 MASKS_AT_ONCE = 1 << 16
 BLOCK_WEIGHTS = 8_000_000  # of a block, without what is around it
 
-Work = Callable[["Division"], Iterable[BlockNodes]]
-"""Finder of the nodes of all blocks of a scene, in their order."""
-
 
 @dataclass(frozen=True, eq=False)
 class Totals:
-    """Sums of W over the columns that are looked at.
+    """Adds up a piece of W over the columns that are looked at: a `Part`.
 
-    rows, counts: weight and number of weights of each row. masks: weight of each mask. sights: views that see a row, of
-    all rows together.
+    masks: `kept` and `views` of the columns. Of each row `sums` and `counts` are found, of each column `masses`, and
+    `sights`: views that see a row, of all rows together.
     """
 
-    rows: Float64[np.ndarray, " r"]
-    counts: Int64[np.ndarray, " r"]
-    masks: Float64[np.ndarray, " m"]
-    sights: int
+    weights: HeldRows
+    masks: Held
 
-    @classmethod
-    def of(cls, evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> "Totals":
-        """Add up W in one pass. kept: columns that are looked at."""
-        weights, views, count = evidence.weights, evidence.masks.views, len(evidence)
-        rows, counts, masks, sights = np.zeros(count), np.zeros(count, np.int64), np.zeros(len(views)), 0
+    def __call__(self, number: int, threads: int) -> Arrays:
+        weights, (kept, views) = self.weights.piece(number), (self.masks.arrays[name] for name in ("kept", "views"))
+        count, num_views = weights.shape[0], np.int64(views.max(initial=0) + 1)
+        sums, counts, masses, sights = np.zeros(count), np.zeros(count, np.int64), np.zeros(len(views)), 0
         for part in row_chunks(weights):
             starts = weights.indptr[part.start : part.stop + 1].astype(np.int64)
             columns, data = weights.indices[starts[0] : starts[-1]], weights.data[starts[0] : starts[-1]]
             held = kept[columns] & (data > 0)
             at = np.repeat(np.arange(part.stop - part.start), np.diff(starts))[held]
             columns, data = columns[held], data[held]
-            rows[part] = np.bincount(at, data, part.stop - part.start)
+            sums[part] = np.bincount(at, data, part.stop - part.start)
             counts[part] = np.bincount(at, minlength=part.stop - part.start)
-            masks += np.bincount(columns, data, len(masks))
-            seen = at * np.int64(len(evidence.masks.view_names)) + views[columns]
+            masses += np.bincount(columns, data, len(masses))
+            seen = at * num_views + views[columns]
             sights += int(np.count_nonzero(np.diff(np.sort(seen), prepend=-1)))
-        return cls(rows, counts, masks, sights)
+        return {"sums": sums, "counts": counts, "masses": masses, "sights": np.array([sights])}
 
 
-@dataclass(frozen=True, eq=False)
-class Division:
-    """A scene in blocks.
+class Division(NamedTuple):
+    """A scene in blocks, in an order that only places and weights decide. nodes: what finds those of a block."""
 
-    points: places of the rows. kept: columns that are looked at. embeddings: of all masks, along few directions.
-    """
-
-    evidence: Evidence
-    points: Places
-    kept: Bool[np.ndarray, " m"]
-    totals: Totals
-    embeddings: Float32[np.ndarray, "m k"]
-    thresholds: tuple[float, ...]
-    rule: MergeRule
-
-    @cached_property
-    def blocks(self) -> list[Block]:
-        """The blocks, in an order that only places and weights decide."""
-        return in_blocks(self.points, self.totals.counts, BLOCK_WEIGHTS)
-
-    @property
-    def masses(self) -> Masses:
-        return Masses(self.totals.rows, self.totals.masks, self.evidence.masks.views, self.rule.far)
-
-    def rows(self, block: Block) -> BlockRows:
-        """Return what there is to know of a block."""
-        masks = MaskColumns(self.kept, self.totals.masks, self.evidence.masks.views, self.embeddings)
-        return rows_around(block, self.points, self.evidence.weights, self.totals.rows, masks)
+    nodes: Nodes
+    blocks: list[Block]
+    masses: Masses
 
 
 def find_objects(
@@ -131,7 +94,7 @@ def find_objects(
 
     views: whose cameras tell which pieces are one thing (`joining`); None: those that the field keeps. No encoder is
     needed. Time is linear in the weights, and memory up to MAX_WEIGHTS; a scene of more is looked at in blocks
-    (`by_blocks`). The same bits at any number of threads.
+    (`divided`). The same bits at any number of threads.
 
     Raises: InputError: the field keeps no evidence. MismatchError: it is of another scene.
     Source: agglomeration by agreement over views as in Trace3D and SAI3D; see docs/grouping.md.
@@ -156,7 +119,7 @@ def find_tree(
         views: whose cameras tell which pieces are one thing; none: pieces stay as they are.
         threads: 0 for all cores; the same bits at any number.
     """
-    found = tree_of(evidence, gaussians.means[ids], threads=threads)
+    found = tree_of(evidence, gaussians.means[ids], Here(threads))
     return of_pieces(found.tree, gaussians, ids, seen_by(found, views), threads=threads)
 
 
@@ -173,31 +136,36 @@ def seen_by(found: Found, views: Sequence[View]) -> list[View]:
     return list({view.name: view for some in chosen for view in some}.values()) if chosen else some_views(views)
 
 
-def tree_of(evidence: Evidence, points: Places, work: Work | None = None, *, threads: int = 0) -> Found:
+def tree_of(evidence: Evidence, points: Places, work: Work = HERE) -> Found:
     """Find the parts, things and groups that masks tell of; what they are pieces of is not yet known.
 
     points: centres of the rows' Gaussians. work: who finds the nodes of blocks, of which there are some where the
-    evidence has more than MAX_WEIGHTS; None: this process.
+    evidence has more than MAX_WEIGHTS.
     """
     if evidence.weights.nnz <= MAX_WEIGHTS:
-        return Found(choose(grow(evidence, points, threads=threads), len(points), MIN_GAUSSIANS), [])
-    division, names = divided(evidence, points), np.array(evidence.masks.view_names, object)
-    parts = list(at_once(division, threads) if work is None else work(division))
-    found = united(parts, division.masses)
-    seeing = [set(names[part.views]) for part in parts]
+        return Found(choose(grow(evidence, points, threads=work.threads), len(points), MIN_GAUSSIANS), [])
+    division, names = divided(evidence, points, work), np.array(evidence.masks.view_names, object)
+    parts = work(division.nodes, division.blocks, "finding objects")
+    found = united(parts, division.blocks, division.masses, work)
+    seeing = [set(names[part.arrays["views"]]) for part in parts]
     return Found(choose_among(found.forest, found.node_of, MIN_GAUSSIANS), seeing)
 
 
-def divided(evidence: Evidence, points: Places) -> Division:
+def divided(evidence: Evidence, points: Places, work: Work = HERE) -> Division:
     """Cut a scene in blocks. Of more weights than WEIGHTS_PER_ROW, those of some views are looked at."""
     masks = evidence.masks
-    gone = views_beyond(evidence, max(MAX_WEIGHTS, WEIGHTS_PER_ROW * len(evidence)))
-    kept = ~gone[masks.views]
-    totals = Totals.of(evidence, kept)
+    kept = ~views_beyond(evidence, max(MAX_WEIGHTS, WEIGHTS_PER_ROW * len(evidence)))[masks.views]
+    weights = HeldRows.of(evidence.weights, work)
+    adding = Totals(weights, work.hold({"kept": kept, "views": masks.views}))
+    added = [held.arrays for held in work(adding, range(len(weights.pieces)), "adding up weights")]
+    sums, counts, sights = (np.concatenate([one[name] for one in added]) for name in ("sums", "counts", "sights"))
+    masses = np.sum([one["masses"] for one in added], axis=0)
     embeddings, unit = _fewer_directions(evidence.embeddings)
-    total = float(f"{totals.masks.sum():.9g}")  # however rows are ordered
-    rule = _rule(total, totals.sights, len(np.unique(masks.views[kept])), unit)
-    return Division(evidence, points, kept, totals, embeddings, MERGE_THRESHOLDS, rule)
+    total = float(f"{masses.sum():.9g}")  # however rows are ordered
+    rule = _rule(total, int(sights.sum()), len(np.unique(masks.views[kept])), unit)
+    scene = {"points": points, "sums": sums, "kept": kept, "masses": masses, "views": masks.views}
+    nodes = Nodes(weights, work.hold({**scene, "embeddings": embeddings}), MERGE_THRESHOLDS, rule)
+    return Division(nodes, in_blocks(points, counts, BLOCK_WEIGHTS), Masses(sums, masses, masks.views, rule.far))
 
 
 def of_pieces(tree: Tree, gaussians: Gaussians, ids: RowGaussians, views: Sequence[View], *, threads: int = 0) -> Tree:
@@ -218,9 +186,9 @@ def pieces_of(tree: Tree, ids: RowGaussians, count: int) -> Ids:
     return pieces
 
 
-def with_pieces_joined(tree: Tree, found: Borders) -> Tree:
+def with_pieces_joined(tree: Tree, found: Borders, work: Work = HERE) -> Tree:
     """Return the tree with what photos show as one joined. found: the borders of its things."""
-    return with_joined(tree, join(found, tree.sure[tree.levels == THING]))
+    return with_joined(tree, join(found, tree.sure[tree.levels == THING], work))
 
 
 def cameras_of(field: LanguageField) -> list[View]:
@@ -302,9 +270,3 @@ def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[n
         part = slice(begin, begin + MASKS_AT_ONCE)
         fewer[part] = np.round(embeddings[part].astype(np.float64) @ directions, 4)
     return fewer, unit
-
-
-def at_once(division: Division, threads: int = 0) -> Iterable[BlockNodes]:
-    """Yield the nodes of all blocks: this process, one after another."""
-    for block in division.blocks:
-        yield nodes_of(division.rows(block), division.thresholds, division.rule, threads)

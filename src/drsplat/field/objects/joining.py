@@ -9,16 +9,17 @@ something else nobody knows how it goes on, and that counts for neither side. Bo
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, pairwise
 from math import fsum
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Doubles, Flags, Float64, Int64, Numbers
+from ...base.arrays import Arrays, Bool, Doubles, Flags, Float64, Int64, Numbers
+from ...base.working import HERE, Held, Work
 from ..forest import PART, THING
 from .borders import Borders
 from .choosing import NONE, Tree, _above, _owners
@@ -33,6 +34,7 @@ ALONE_RELIEF = 0.85  # of a piece that stands out by itself, which is not joined
 FINISHED_SHARE = 0.8  # of a set: a piece of so much that stands out by itself is a thing, with things on it
 LARGE_SHARE = 0.02  # of a set: pieces of so much may not stand out more than all of it
 MAX_SETS_UNITED = 16
+SEEDS_AT_ONCE = 64
 MIN_AREA_PIXELS = 200  # over all photos, of a piece that a set is grown from
 MIN_LEVEL_SHARE = 0.5  # of the borders within a set: depth goes on along so many
 RELIEF_PRIOR_PIXELS = 30  # of outline that does not stand out, added to every outline
@@ -168,7 +170,33 @@ class Joined(NamedTuple):
     relief: float
 
 
-def join(found: Borders, sure: Numbers) -> list[Joined]:
+@dataclass(frozen=True, eq=False)
+class Growing:
+    """Grows sets from pieces: a `Part`. borders: `Borders`, and how `sure` each piece is."""
+
+    borders: Held
+
+    @cached_property
+    def candidates(self) -> "_Candidates":
+        """Candidates, none so far."""
+        arrays = dict(self.borders.arrays)
+        sure = arrays.pop("sure")
+        outlines = Outlines.of(Borders(**arrays))
+        return _Candidates(outlines, (sure < WHOLE_SURENESS) & (outlines.reliefs < ALONE_RELIEF))
+
+    def __call__(self, seeds: Int64[np.ndarray, " k"], threads: int) -> Arrays:
+        own = replace(self.candidates, found={})
+        for seed in seeds.tolist():
+            own.add(grown(own.outlines, seed, own.free))
+        members = [np.array(one, np.int64) for one in own.found]
+        return {
+            "members": np.concatenate([np.empty(0, np.int64), *members]),
+            "ends": np.cumsum([0, *map(len, members)]),
+            "worths": np.array([*own.found.values()]).reshape(-1, 2),
+        }
+
+
+def join(found: Borders, sure: Numbers, work: Work = HERE) -> list[Joined]:
     """Return the disjoint sets of pieces that are one thing, by their first pieces.
 
     From each piece, large ones first, a set is grown and refined (`standing_out`), and so are unions of the best sets.
@@ -176,12 +204,13 @@ def join(found: Borders, sure: Numbers) -> list[Joined]:
     well single masks fit each piece; pieces that masks hold as a whole (`WHOLE_SURENESS`) or that stand out by
     themselves (`ALONE_RELIEF`) are left as they are, also small ones that lie on a thing and hide some of its outline.
     """
-    outlines = Outlines.of(found)
-    free = (sure < WHOLE_SURENESS) & (outlines.reliefs < ALONE_RELIEF)
-    candidates = _Candidates(outlines, free)
-    for seed in np.argsort(-outlines.areas, kind="stable").tolist():
-        if free[seed] and outlines.areas[seed] >= MIN_AREA_PIXELS:
-            candidates.add(grown(outlines, seed, free))
+    growing = Growing(work.hold({**found._asdict(), "sure": sure}))
+    candidates, free = growing.candidates, growing.candidates.free
+    seeds = np.flatnonzero(free & (candidates.outlines.areas >= MIN_AREA_PIXELS))
+    for held in work(growing, np.array_split(seeds, -(-len(seeds) // SEEDS_AT_ONCE) or 1), "joining pieces"):
+        members, ends, worths = (held.arrays[name] for name in ("members", "ends", "worths"))
+        for number, (begin, end) in enumerate(pairwise(ends.tolist())):
+            candidates.found[tuple(members[begin:end].tolist())] = tuple(worths[number].tolist())
     for one, other in combinations(
         candidates.best(MAX_SETS_UNITED), 2
     ):  # a head and a body, each the best around itself
@@ -195,12 +224,16 @@ def join(found: Borders, sure: Numbers) -> list[Joined]:
     return sorted(joined)
 
 
+@dataclass(frozen=True, eq=False)
 class _Candidates:
-    """Sets of pieces that are one thing, by how much more they stand out than their pieces do, times their area."""
+    """Sets of pieces that are one thing. found: how much more each stands out than its pieces, times its area; relief.
 
-    def __init__(self, outlines: Outlines, free: Flags) -> None:
-        self.outlines, self.free = outlines, free
-        self.found: dict[tuple[int, ...], tuple[float, float]] = {}  # what a set is worth, and its relief
+    free: pieces that may be joined.
+    """
+
+    outlines: Outlines
+    free: Flags
+    found: dict[tuple[int, ...], tuple[float, float]] = field(default_factory=dict)
 
     def add(self, members: Members) -> None:
         """Refine a set, and keep it if it is one thing."""

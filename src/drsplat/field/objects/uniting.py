@@ -4,17 +4,19 @@ Round by round of the merging, regions of two blocks are one where they share mo
 one. So the nodes of the scene are a forest again, whose rows are those within each block.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
+from ...base.arrays import Arrays, Bool, Float32, Float64, Int32, Int64, Integer
+from ...base.working import HERE, Held, Work
 from ...kernels import Forest
 from ..evidence.aggregation.entries import entry_rows
-from .block_nodes import BlockNodes
+from .block_nodes import Block, BlockNodes
 from .choosing import NONE
 
 AnyNodes = Integer[np.ndarray, " t"]
@@ -50,17 +52,19 @@ class Masses(NamedTuple):
     far: float
 
 
-def united(parts: Sequence[BlockNodes], masses: Masses) -> United:
-    """Return the forest of a scene from those of its blocks.
+def united(held: Sequence[Held], blocks: Sequence[Block], masses: Masses, work: Work = HERE) -> United:
+    """Return the forest of a scene from those of its blocks. held: the arrays of their `BlockNodes`.
 
     Where a region is whole in one of the blocks, that one's fit counts; of what is cut in all of them the fit is that
     of all its rows. Memory is that of two blocks, of the nodes, and 4 bytes a row.
     """
+    parts = [BlockNodes(**part.arrays) for part in held]
     bases = np.append(0, np.cumsum([len(part.parents) for part in parts]))
+    shared = work(Sharing(held, bases), side_by_side(blocks), "comparing blocks")
     moved = [
         np.where(part.parents >= 0, part.parents + base, NONE) for part, base in zip(parts, bases[:-1], strict=True)
     ]
-    classes = _Classes(np.concatenate(moved), _together(parts, "ranks"), list(_all_shared(parts, bases)))
+    classes = _Classes(np.concatenate(moved), _together(parts, "ranks"), [Shared(**one.arrays) for one in shared])
     parents, members, number = classes.grown()
     node_of = np.full(len(masses.rows), NONE, np.int32)
     for part, base in zip(parts, bases[:-1], strict=True):
@@ -73,24 +77,30 @@ def united(parts: Sequence[BlockNodes], masses: Masses) -> United:
     return United(forest, node_of)
 
 
-def _all_shared(parts: Sequence[BlockNodes], bases: Int64[np.ndarray, " b1"]) -> Iterator[Shared]:
-    """Yield what each two blocks share, if anything."""
-    ends = [(part.rows[0], part.rows[-1]) if len(part.rows) else (0, NONE) for part in parts]
-    for i, one in enumerate(parts):
-        for j in range(i + 1, len(parts)):
-            if ends[i][0] <= ends[j][1] and ends[j][0] <= ends[i][1]:
-                shared = _shared(one, parts[j], int(bases[i]), int(bases[j]))
-                if len(shared.counts):
-                    yield shared
+def side_by_side(blocks: Sequence[Block]) -> list[list[int]]:
+    """Return the pairs of blocks whose surroundings meet."""
+    low = np.array([block.low - block.around for block in blocks])
+    high = np.array([block.high + block.around for block in blocks])
+    meets = ((low[:, None] <= high) & (high[:, None] >= low)).all(axis=2)
+    pairs: list[list[int]] = np.argwhere(np.triu(meets, 1)).tolist()
+    return pairs
 
 
-def _shared(one: BlockNodes, other: BlockNodes, first: int, second: int) -> Shared:
-    _, at, there = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
-    sure = one.sure[at] & other.sure[there]
-    nodes = np.stack([one.lowest[at[sure]], other.lowest[there[sure]]], axis=1).astype(np.int64)
-    pairs, counts = np.unique(nodes[(nodes >= 0).any(axis=1)], axis=0, return_counts=True)
-    a, b = (np.where(pairs[:, k] >= 0, pairs[:, k] + base, NONE) for k, base in enumerate((first, second)))
-    return Shared(a, b, counts)
+@dataclass(frozen=True, eq=False)
+class Sharing:
+    """Finds what two blocks share: a `Part`. bases: the number of each block's first node in the scene."""
+
+    parts: Sequence[Held]
+    bases: Int64[np.ndarray, " b1"]
+
+    def __call__(self, pair: list[int], threads: int) -> Arrays:
+        one, other = (BlockNodes(**self.parts[number].arrays) for number in pair)
+        _, at, there = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
+        sure = one.sure[at] & other.sure[there]
+        nodes = np.stack([one.lowest[at[sure]], other.lowest[there[sure]]], axis=1).astype(np.int64)
+        pairs, counts = np.unique(nodes[(nodes >= 0).any(axis=1)], axis=0, return_counts=True)
+        a, b = (np.where(side >= 0, side + base, NONE) for side, base in zip(pairs.T, self.bases[pair], strict=True))
+        return Shared(a, b, counts)._asdict()
 
 
 class _Classes:

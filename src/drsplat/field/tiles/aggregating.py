@@ -6,8 +6,8 @@ run -> whose features its rows have               of the rows around, in whateve
 """
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,9 +27,9 @@ from ...base.arrays import (
     Vectors,
 )
 from ...base.contents import pieces
-from ...formats.tensors import map_tensors
+from ...base.working import Held, Part
 from ...formats.tiles import Tile
-from ...kernels import default_isa, weighted_rows
+from ...kernels import weighted_rows
 from ...scene.gaussians import Gaussians
 from ..codes import Track
 from ..evidence.aggregation import Aggregated, Aggregator
@@ -45,41 +45,27 @@ from ..evidence.aggregation.voting import (
     reliability,
 )
 from ..evidence.evidence import Evidence, MaskIds
-from .launching import Launcher, followed
+from .launching import Launcher
 from .seeing import Gallery
-from .store import Store, make_once
-from .transposing import ROWS_FOLDER, Run, joined_rows, rows_name
+from .store import Store
+from .tasks import ByTasks, Stored
+from .transposing import Run, joined_rows, rows_name
 
 EMBEDDINGS_FILE = "embeddings.npy"
 NO_NEIGHBOUR = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, eq=False)
-class OfTiles(Aggregated):
-    """Features whose rows lie in files, one of each run. folder: of these; key: of all that decides what is in them."""
-
-    folder: str = ROWS_FOLDER
-    key: str = ""
-
-
-def is_by_tasks(how: Aggregator) -> bool:
-    """Return whether an aggregator is one of runs of tiles; others may look at whatever they like."""
-    return all(isinstance(step, MaskTrust | OutlierRejection) for step in how.steps)
-
-
-@dataclass(frozen=True, eq=False)
 class RowFiles:
-    """Files of rows of W, one of each run in `folder`."""
+    """Rows of W in files, by the names of their runs. key: of the weights as registered, and of the embeddings."""
 
     store: Store
     masks: MaskIds
-    folder: str
-
-    def name(self, run: Run) -> str:
-        return rows_name(run, self.folder)
+    held: Mapping[str, Held]
+    key: str
 
     def arrays(self, run: Run) -> ArraysByName:
-        return map_tensors(self.store.bring(self.name(run)))[0]
+        return self.held[run.name].arrays
 
     def weights(self, run: Run) -> csr_array:
         arrays = self.arrays(run)
@@ -93,80 +79,76 @@ class RowFiles:
         return Evidence(self.weights(run), self.masks, self.embeddings())
 
 
-Making = Callable[[RowFiles, Run, int], Arrays]
-"""(rows, run, threads) -> arrays of a file."""
+@dataclass(frozen=True, eq=False)
+class OfTiles(Aggregated):
+    """Features whose rows lie in files."""
+
+    files: RowFiles = field(kw_only=True)
+
+
+def is_by_tasks(how: Aggregator) -> bool:
+    """Return whether an aggregator is one of runs of tiles; others may look at whatever they like."""
+    return all(isinstance(step, MaskTrust | OutlierRejection) for step in how.steps)
 
 
 @dataclass(frozen=True, eq=False)
-class RowTask:
-    """Makes a file in `folder` of the rows of a run. key: of all that decides what is in it."""
+class Tallying:
+    """Finds what a run adds to the trust in masks: a `Part`."""
 
     rows: RowFiles
-    making: Making
-    folder: str
-    key: str
-    threads: int
 
-    def __call__(self, run: Run) -> bool:
-        """Make the file of a run; return True if that was done now, and not before."""
-        return make_once(self.rows.store, self.name(run), self.key, lambda: self.making(self.rows, run, self.threads))
-
-    def name(self, run: Run) -> str:
-        return rows_name(run, self.folder)
-
-
-@dataclass(frozen=True)
-class Tallying:
-    """A `Making` of what a run adds to the trust in masks."""
-
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
-        counted = tally(rows.evidence(run), threads)
+    def __call__(self, run: Run, threads: int) -> Arrays:
+        counted = tally(self.rows.evidence(run), threads)
         (columns,) = np.nonzero(counted.weights)
         return {"columns": columns, "surpluses": counted.surpluses[columns], "weights": counted.weights[columns]}
 
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """A `Making` of rows whose votes count otherwise. trust: in each mask, where masks are trusted."""
+    """Makes rows whose votes count otherwise: a `Part`. trust: in each mask, where masks are trusted."""
 
+    rows: RowFiles
     step: MaskTrust | OutlierRejection
     trust: Doubles | None = None
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
-        evidence = rows.evidence(run)
+    def __call__(self, run: Run, threads: int) -> Arrays:
+        evidence = self.rows.evidence(run)
         if isinstance(self.step, MaskTrust) and self.trust is not None:
             return _arrays(self.step.weighed(evidence, self.trust).weights)
         return _arrays(self.step(evidence, threads).weights)  # type: ignore[operator]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Believing:
-    """A `Making` of how reliable rows are."""
+    """Finds how reliable rows are: a `Part`."""
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
-        return {"reliability": reliability(rows.evidence(run), threads)}
+    rows: RowFiles
+
+    def __call__(self, run: Run, threads: int) -> Arrays:
+        return {"reliability": reliability(self.rows.evidence(run), threads)}
 
 
 @dataclass(frozen=True, eq=False)
 class Voting:
-    """A `Making` of rows as neighbours choose them, from the rows of all runs, and of their numbers, `donors`.
+    """Makes rows as neighbours choose them, from the rows of all runs, and their numbers, `donors`: a `Part`.
 
     registered: rows as they were before any step. believed: how reliable rows are. gallery: where the tiles are.
     """
 
+    rows: RowFiles
     voting: ModeVoting
     registered: RowFiles
     believed: RowFiles
     gallery: Gallery
     runs: Sequence[Run]
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
+    def __call__(self, run: Run, threads: int) -> Arrays:
         own = self._trust(run)
         donors = np.where(own > 0, run.first + np.arange(len(own)), -1)
         receivers = run.first + np.flatnonzero(np.diff(self.registered.weights(run).indptr) > 0)
         points = np.concatenate([self._shapes(tile).means for tile in run.tiles])
         distances, near = self._nearest(run, points[receivers - run.first], threads)
-        held = _Held(self, rows)
+        held = _Held(self)
         for begin in range(0, len(receivers) if near.shape[1] else 0, RECEIVERS_AT_ONCE):
             some = slice(begin, begin + RECEIVERS_AT_ONCE)
             voters = Voters(receivers[some], near[some], distances[some])
@@ -208,10 +190,10 @@ class Voting:
 class _Held:
     """RowFiles of all runs, by their numbers in the scene."""
 
-    def __init__(self, voting: Voting, rows: RowFiles) -> None:
-        self.voting, self.rows = voting, rows
+    def __init__(self, voting: Voting) -> None:
+        self.voting, self.rows = voting, voting.rows
         self.firsts = np.array([run.first for run in voting.runs])
-        self.table = rows.embeddings()
+        self.table = voting.rows.embeddings()
 
     def about(self, numbers: Indices, threads: int) -> tuple[Doubles, Doubles, Embeddings]:
         """Return how reliable rows are, their sizes, and features. numbers: ascending."""
@@ -249,12 +231,13 @@ class _Held:
 
 @dataclass(frozen=True, eq=False)
 class OfColumns:
-    """A `Making` of the rows that some columns have weights in, and of these weights alone."""
+    """Makes the rows that some columns have weights in, and these weights alone: a `Part`."""
 
+    rows: RowFiles
     kept: Flags
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
-        w = rows.weights(run)
+    def __call__(self, run: Run, threads: int) -> Arrays:
+        w = self.rows.weights(run)
         held = self.kept[w.indices] & (w.data > 0)
         starts = np.append(0, np.cumsum(held))[w.indptr]
         starts = starts[np.append(True, np.diff(starts) > 0)]
@@ -276,27 +259,40 @@ class OnRuns:
     threads: int
     gallery: Gallery
 
+    def work(self, threads: int, track: Track) -> ByTasks:
+        """Return what lets tasks work; `threads` are those of this process."""
+        return ByTasks(self.store, self.launcher, self.threads, track, "made")
+
+    @cached_property
+    def registered(self) -> RowFiles:
+        """Rows as they are registered."""
+        digest = hashlib.blake2b(self.key.encode(), digest_size=16)
+        for piece in pieces(self.evidence.embeddings):
+            digest.update(piece)
+        self.store.send(EMBEDDINGS_FILE)
+        held = {run.name: Stored(self.store, rows_name(run)) for run in self.runs}
+        return RowFiles(self.store, self.evidence.masks, held, digest.hexdigest())
+
 
 class TileAggregator(OnRuns):
     """Makes features of the rows of runs by tasks."""
 
     def __call__(self, how: Aggregator, track: Track) -> OfTiles:
         """Return the features of all rows, which lie in files."""
-        self.store.send(EMBEDDINGS_FILE)
-        rows, key = RowFiles(self.store, self.evidence.masks, ROWS_FOLDER), self.key
+        rows = self.registered
         for step in how.steps:
-            rows, key = self._weighed(rows, key, step, track)  # type: ignore[arg-type]
-        evidence = self.evidence if rows.folder == ROWS_FOLDER else self._joined(rows)
+            rows = self._weighed(rows, step, track)  # type: ignore[arg-type]
+        evidence = self.evidence if rows is self.registered else self._joined(rows)
         if how.voting is None:
-            return OfTiles(evidence, None, how.record(), rows.folder, key)
-        chosen, key = self._voted(rows, key, how.voting, track)
+            return OfTiles(evidence, None, how.record(), files=rows)
+        believed = self._made(Believing(rows), track)
+        chosen = self._made(Voting(rows, how.voting, self.registered, believed, self.gallery, self.runs), track)
         donors = np.concatenate([chosen.arrays(run)["donors"] for run in self.runs])
-        return OfTiles(evidence, donors, how.record(), chosen.folder, key)
+        return OfTiles(evidence, donors, how.record(), files=chosen)
 
     def of_columns(self, features: OfTiles, kept: Flags, track: Track) -> Aggregated:
-        """Return the rows of features that some columns have weights in."""
-        rows = RowFiles(self.store, self.evidence.masks, features.folder)
-        some, _ = self._made(rows, features.key, OfColumns(kept), f"columns {_digest(kept.tobytes())}", track)
+        """Return the rows that some columns have weights in."""
+        some = self._made(OfColumns(features.files, kept), track)
         parts = [some.arrays(run) for run in self.runs]
         starts = np.append(0, np.cumsum(np.concatenate([np.diff(part["indptr"]) for part in parts])))
         arrays = (np.concatenate([part[name] for part in parts]) for name in ("data", "indices"))
@@ -304,50 +300,28 @@ class TileAggregator(OnRuns):
         matrix = csr_array((*arrays, starts.astype(kind)), shape=(len(starts) - 1, len(kept)))
         return Aggregated(Evidence(matrix, self.evidence.masks, self.evidence.embeddings), None, features.record)
 
-    def _weighed(
-        self, rows: RowFiles, key: str, step: MaskTrust | OutlierRejection, track: Track
-    ) -> tuple[RowFiles, str]:
+    def _weighed(self, rows: RowFiles, step: MaskTrust | OutlierRejection, track: Track) -> RowFiles:
         if not isinstance(step, MaskTrust):
-            return self._made(rows, key, Weighing(step), repr(step), track)
-        counted, _ = self._made(rows, key, Tallying(), f"tally {step!r}", track)
+            return self._made(Weighing(rows, step), track)
+        counted = self._made(Tallying(rows), track)
         count = len(self.evidence.masks)
         surpluses, weights = np.zeros(count), np.zeros(count)
         for part in map(counted.arrays, self.runs):
             surpluses[part["columns"]] += part["surpluses"]
             weights[part["columns"]] += part["weights"]
-        trust = step.trust(Tally(surpluses, weights))
-        return self._made(rows, key, Weighing(step, trust), repr(step), track)
+        return self._made(Weighing(rows, step, step.trust(Tally(surpluses, weights))), track)
 
-    def _voted(self, rows: RowFiles, key: str, voting: ModeVoting, track: Track) -> tuple[RowFiles, str]:
-        believed, _ = self._made(rows, key, Believing(), "reliability", track)
-        registered = RowFiles(self.store, self.evidence.masks, ROWS_FOLDER)
-        making = Voting(voting, registered, believed, self.gallery, self.runs)
-        return self._made(rows, key, making, f"{voting!r} {self.gallery.tiles.digest}", track)
-
-    def _made(self, rows: RowFiles, key: str, making: Making, how: str, track: Track) -> tuple[RowFiles, str]:
-        """Let tasks make a file of each run; return those files and their key. how: of all that decides `making`."""
-        key = _digest(f"{key} {how} {self._embeddings_hash} {default_isa()}".encode())
-        task = RowTask(rows, making, f"made/{key}", key, self.threads)
-        names = [run.name for run in self.runs]
-        for _ in followed(self.launcher.results(task, self.runs), track, names, "weighing votes"):
-            pass
-        return RowFiles(self.store, rows.masks, task.folder), key
-
-    @cached_property
-    def _embeddings_hash(self) -> str:
-        digest = hashlib.blake2b(digest_size=16)
-        for piece in pieces(self.evidence.embeddings):
-            digest.update(piece)
-        return digest.hexdigest()
+    def _made(self, part: Part[Run], track: Track) -> RowFiles:
+        """Let tasks make a file of each run; return those files."""
+        made = self.work(0, track)(part, self.runs, "weighing votes")
+        return replace(self.registered, held=dict(zip((run.name for run in self.runs), made, strict=True)))
 
     def _joined(self, rows: RowFiles) -> Evidence:
-        weights = joined_rows(self.runs, self.store, len(self.evidence.masks), rows.folder)
+        held = [rows.held[run.name] for run in self.runs]
+        folder = self.store.folder / "made" / "joined"
+        weights = joined_rows(held, folder, len(self.evidence.masks))
         return Evidence(weights, self.evidence.masks, self.evidence.embeddings)
 
 
 def _arrays(w: csr_array) -> Arrays:
     return {"indptr": w.indptr.astype(np.int64), "indices": w.indices.astype(np.int32), "data": w.data}
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.blake2b(content, digest_size=16).hexdigest()

@@ -16,17 +16,17 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Arrays, ArraysByName, Embeddings, Flags, Ids, Indices, UnsignedIds
-from ...base.contents import pieces
+from ...base.arrays import Arrays, Embeddings, Flags, Ids, Indices, UnsignedIds
 from ...formats.tensors import map_tensors, write_tensors
 from ...formats.tiles import Tiles
-from ...kernels import default_isa, weighted_rows
+from ...kernels import weighted_rows
 from ...kernels.mixture import MAX_ATOMS, Encoded
 from ...scene.gaussians import Gaussians
 from ...scene.masks.features import ViewFeatures
@@ -46,11 +46,12 @@ from ..registration import (
     warn_of_missing,
     with_features,
 )
-from .aggregating import EMBEDDINGS_FILE, OfTiles, OnRuns, TileAggregator, is_by_tasks
+from .aggregating import EMBEDDINGS_FILE, OfTiles, OnRuns, RowFiles, TileAggregator, is_by_tasks
 from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
-from .store import Shared, Store, make_once, store_of
-from .transposing import RowMaker, Run, filed, joined_rows, rows_name, runs_of
+from .store import Shared, Store, store_of
+from .tasks import Stored
+from .transposing import ROWS_FOLDER, RowMaker, Run, filed, joined_rows, rows_name, runs_of
 
 
 class ViewReport(NamedTuple):
@@ -165,7 +166,8 @@ def register_tiles(
     embeddings = _embeddings(store, names, sum(widths), made[0].dim)
     by_name = {view.name: view for view, _ in chosen}
     masks = masks_of([by_name[one.view_name] for one in made], widths)
-    evidence = Evidence(joined_rows(runs, store, sum(widths)), masks, embeddings)
+    held = [Stored(store, rows_name(run)) for run in runs]
+    evidence = Evidence(joined_rows(held, store.folder / ROWS_FOLDER, sum(widths)), masks, embeddings)
     new = sum(one.is_new for one in made)
     tell(Work(new, len(made) - new, sum(new_rows), len(runs) - sum(new_rows)))
     provenance = provenance_of([view for view, _ in chosen], [one.key for one in made], features)
@@ -201,19 +203,30 @@ class Rows:
         return weighted_rows(w.indptr, w.indices, w.data, self.embeddings, begin, end, threads=threads)
 
 
-Coding = Callable[[Rows, int], Arrays]
-"""(rows, threads) -> arrays with an item for each row."""
+@dataclass(frozen=True, eq=False)
+class OfRuns:
+    """Part that codes the rows of runs."""
+
+    files: RowFiles
+
+    def _rows(self, run: Run) -> Rows:
+        tensors, embeddings = self.files.arrays(run), self.files.embeddings()
+        starts = tensors["indptr"].astype(np.int32)
+        starts = starts[np.append(True, np.diff(starts) > 0)]  # rows without any weight have no code
+        matrix = csr_array((tensors["data"], tensors["indices"], starts), shape=(len(starts) - 1, len(embeddings)))
+        return Rows(matrix, embeddings)
 
 
 @dataclass(frozen=True, eq=False)
-class Mixing:
-    """A `Coding`. columns: whose embeddings may be atoms; None: all. Ids are columns, then the scene's atoms."""
+class Mixing(OfRuns):
+    """A `Part`. columns: whose embeddings may be atoms; None: all. Ids are columns, then the scene's atoms."""
 
     atoms_per_row: int
     scene: SceneAtoms | None
     columns: Ids | None = None
 
-    def __call__(self, rows: Rows, threads: int) -> Arrays:
+    def __call__(self, run: Run, threads: int) -> Arrays:
+        rows = self._rows(run)
         own = np.unique(rows.weights.indices)
         own = own if self.columns is None else np.intersect1d(own, self.columns, assume_unique=True)
         plan = plan_of(rows.embeddings, own, self.scene)
@@ -222,52 +235,16 @@ class Mixing:
         ids = np.where(encoded.ids < len(own), np.append(own, 0)[np.minimum(encoded.ids, len(own))], of_scene)
         return encoded._replace(ids=ids.astype(np.int32))._asdict()
 
-    def update(self, digest: "hashlib.blake2b") -> None:
-        digest.update(f"mixture {self.atoms_per_row}".encode())
-        for array in () if self.scene is None else (self.scene.vectors, self.scene.centres, self.scene.members):
-            digest.update(array.tobytes())
-        digest.update(b"all" if self.columns is None else self.columns.tobytes())
-
 
 @dataclass(frozen=True, eq=False)
-class Quantising:
-    """A `Coding`."""
+class Quantising(OfRuns):
+    """A `Part`."""
 
     codebook: Codebook
 
-    def __call__(self, rows: Rows, threads: int) -> Arrays:
-        (codes, coarse_ids), directed = encode_features(rows, self.codebook, threads, untracked)
+    def __call__(self, run: Run, threads: int) -> Arrays:
+        (codes, coarse_ids), directed = encode_features(self._rows(run), self.codebook, threads, untracked)
         return {"codes": codes, "directed": directed} | ({} if coarse_ids is None else {"coarse_ids": coarse_ids})
-
-    def update(self, digest: "hashlib.blake2b") -> None:
-        digest.update(f"pq {self.codebook.hash}".encode())
-
-
-@dataclass(frozen=True, eq=False)
-class CodeTask:
-    """Codes the rows of a run of tiles. folder: of the files of these. key: of all that decides how."""
-
-    store: Store
-    coding: Coding
-    folder: str
-    key: str
-    threads: int
-
-    def __call__(self, run: Run) -> bool:
-        """Code a run of rows; return True if that was done now, and not before."""
-        return make_once(self.store, self.name(run), self.key, lambda: self.coding(self._rows(run), self.threads))
-
-    def name(self, run: Run) -> str:
-        """Name the file of rows, which may be coded twice, with other atoms: the key tells these apart."""
-        return f"codes/{run.name}.{self.key}.safetensors"
-
-    def _rows(self, run: Run) -> Rows:
-        tensors, _ = map_tensors(self.store.bring(rows_name(run, self.folder)))
-        embeddings = np.load(self.store.bring(EMBEDDINGS_FILE), mmap_mode="r")
-        starts = tensors["indptr"].astype(np.int32)
-        starts = starts[np.append(True, np.diff(starts) > 0)]  # rows without any weight have no code
-        matrix = csr_array((tensors["data"], tensors["indices"], starts), shape=(len(starts) - 1, len(embeddings)))
-        return Rows(matrix, np.asarray(embeddings))
 
 
 class TileCoder(OnRuns):
@@ -289,7 +266,7 @@ class TileCoder(OnRuns):
             return AT_ONCE.of_columns(features, kept)
         return self._aggregator.of_columns(features, kept, untracked)
 
-    @property
+    @cached_property
     def _aggregator(self) -> TileAggregator:
         made = self.evidence, self.store, self.runs, self.launcher, self.key, self.threads
         return TileAggregator(*made, self.gallery)
@@ -301,13 +278,13 @@ class TileCoder(OnRuns):
         """See RowCoder."""
         if not isinstance(features, OfTiles):
             return AT_ONCE.mixed(features, seen, atoms_per_row, scene, threads, track)
-        coding, masks = Mixing(atoms_per_row, scene), len(self.evidence.masks)
+        coding, masks = Mixing(features.files, atoms_per_row, scene), len(self.evidence.masks)
         while True:
-            encoded = Encoded(**self._coded(features, coding, track))
+            encoded = Encoded(**self._coded(coding, track))
             used = atoms_by_use(encoded)
             if len(used) <= MAX_ATOMS:
                 return self._assembled(encoded, used, scene)
-            coding = Mixing(atoms_per_row, scene, left_in(used, masks, scene))
+            coding = replace(coding, columns=left_in(used, masks, scene))
 
     def _assembled(self, encoded: Encoded, used: Indices, scene: SceneAtoms | None) -> Mixed:
         """Assemble with a plan of the columns alone that are used."""
@@ -324,22 +301,10 @@ class TileCoder(OnRuns):
         """See RowCoder."""
         if not isinstance(features, OfTiles):
             return AT_ONCE.quantised(features, seen, codebook, threads, track)
-        arrays = self._coded(features, Quantising(codebook), track)
+        arrays = self._coded(Quantising(features.files, codebook), track)
         return Codes(arrays["codes"], arrays.get("coarse_ids")), arrays["directed"]
 
-    def _coded(self, features: OfTiles, coding: Mixing | Quantising, track: Track) -> Arrays:
+    def _coded(self, coding: Mixing | Quantising, track: Track) -> Arrays:
         """Return the coded arrays of all rows that have weights, one after another."""
-        task = CodeTask(self.store, coding, features.folder, self._key_of(features, coding), self.threads)
-        self.store.send(EMBEDDINGS_FILE)
-        names = [run.name for run in self.runs]
-        for _ in followed(self.launcher.results(task, self.runs), track, names, "coding Gaussians"):
-            pass
-        files: list[ArraysByName] = [map_tensors(self.store.bring(task.name(run)))[0] for run in self.runs]
+        files = [held.arrays for held in self.work(0, track)(coding, self.runs, "coding Gaussians")]
         return {name: np.concatenate([file[name] for file in files]) for name in files[0]}
-
-    def _key_of(self, features: OfTiles, coding: Mixing | Quantising) -> str:
-        digest = hashlib.blake2b(f"{features.key} {default_isa()}".encode(), digest_size=16)
-        for piece in pieces(self.evidence.embeddings):
-            digest.update(piece)
-        coding.update(digest)
-        return digest.hexdigest()

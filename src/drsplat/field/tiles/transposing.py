@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 
 from ...base.arrays import Arrays, Indices
 from ...base.contents import pieces
+from ...base.working import Held
 from ...formats.replacing import replacing
 from ...formats.tensors import map_tensors
 from ...formats.tiles import Tile
@@ -93,27 +94,23 @@ def runs_of(tiles: Sequence[Tile], num_weights: int, held: Sequence[bytes]) -> l
     return [Run(tuple(tiles[n] for n in run), np.flatnonzero(has[:, run].any(1))) for run in runs]
 
 
-def rows_name(run: Run, folder: str = ROWS_FOLDER) -> str:
-    return f"{folder}/{run.name}.rows.safetensors"
+def rows_name(run: Run) -> str:
+    return f"{ROWS_FOLDER}/{run.name}.rows.safetensors"
 
 
-def joined_rows(runs: Sequence[Run], store: Store, num_masks: int, of: str = ROWS_FOLDER) -> csr_array:
+def joined_rows(held: Sequence[Held], folder: Path, num_masks: int) -> csr_array:
     """Return W, all rows one after another, in files that are mapped: memory holds those in use.
 
-    of: the folder of their files.
+    held: the rows of each run. folder: of the files.
     """
-    names = [rows_name(run, of) for run in runs]
-    indptr, folder = [np.zeros(1, np.int64)], store.folder / of
-
-    def part(name: str, array: str) -> np.ndarray:
-        return map_tensors(store.bring(name))[0][array]
-
-    for name in names:
-        indptr.append(part(name, "indptr")[1:] + indptr[-1][-1])
+    folder.mkdir(parents=True, exist_ok=True)
+    indptr = [np.zeros(1, np.int64)]
+    for part in held:
+        indptr.append(part.arrays["indptr"][1:] + indptr[-1][-1])
     starts = np.concatenate(indptr)
     shape = (int(starts[-1]),)
-    indices = filed(folder / "indices.npy", np.int32, shape, (part(name, "indices") for name in names))
-    data = filed(folder / "data.npy", np.float32, shape, (part(name, "data") for name in names))
+    indices = filed(folder / "indices.npy", np.int32, shape, (part.arrays["indices"] for part in held))
+    data = filed(folder / "data.npy", np.float32, shape, (part.arrays["data"] for part in held))
     starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
     return csr_array((data, indices, starts), shape=(len(starts) - 1, num_masks))
 

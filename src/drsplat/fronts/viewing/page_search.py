@@ -12,6 +12,7 @@ import numpy as np
 from ...authoring.filming import looking
 from ...base.arrays import Array, Embedding, Float32
 from ...base.contents import Document
+from ...base.working import Here
 from ...errors import DrSplatError
 from ...field import LanguageField
 from ...kernels import boxes, pq_encode
@@ -225,7 +226,7 @@ def _coded(points: Float32[Array, "r d"], stages: int, threads: int) -> Iterator
     """
     left = points.copy()
     for _ in range(stages):
-        centroids = train_centroids(np.ascontiguousarray(_spread(left)), 1, SEED, threads)
+        centroids = train_centroids(np.ascontiguousarray(_spread(left)), 1, SEED, Here(threads))
         step = max(float(np.abs(centroids).max()) / 127, 1e-12)
         steps = np.round(centroids / step)
         coded = np.ascontiguousarray(steps * step, np.float32)

@@ -16,8 +16,8 @@ from ....base.arrays import (
     WholeNumbers,
 )
 from ....base.contents import release
+from ....base.working import Track, untracked
 from ....errors import InputError
-from ....kernels.kmeans import Track, untracked
 from ....kernels.mixture import MAX_ATOMS, MAX_ATOMS_PER_ROW, Candidates, Dictionary, Encoded, mixture_encode
 from .code import MixtureCode, packed
 from .dictionary import SCENE_ATOM, AtomTable, quantised

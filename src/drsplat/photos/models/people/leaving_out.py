@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ....base.arrays import Doubles, MaskIds, Pixels
+from ....base.working import Track, untracked
 from ....formats.captures import SparsePoints
 from ....formats.mask_files import write_mask
-from ....kernels.kmeans import Track, untracked
 from ....scene.lens import distort_points
 from ....scene.photos import load_image
 from ....scene.views import View
