@@ -45,20 +45,28 @@ def of_wheel(module: str, name: str, digest: str = "") -> Path:
 
 
 def crops(photo: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]) -> list[Image.Image]:
-    """Cut a thing out of a photo: with what lies around it and with grey instead, each at two margins."""
+    """Cut a thing out of a photo: with what lies around it and with grey instead, each at two margins.
+
+    What lies around is of the photo alone: a crop that reaches beyond it is moved inside, as no border is real.
+    """
     y, x = np.nonzero(mask)
     if not len(y) or max(np.ptp(x), np.ptp(y)) < LEAST_PIXELS:
         return []
-    alone = Image.fromarray(np.where(mask[..., None], photo, np.uint8(127)))
+    around, alone = Image.fromarray(photo), Image.fromarray(np.where(mask[..., None], photo, np.uint8(127)))
     middle = (x.min() + x.max() + 1) / 2, (y.min() + y.max() + 1) / 2
-    longer = max(np.ptp(x), np.ptp(y)) + 1
+    sides = [round(margin * (max(np.ptp(x), np.ptp(y)) + 1)) for margin in MARGINS]
     found = []
-    for picture in (Image.fromarray(photo), alone):
-        for margin in MARGINS:
-            half = margin * longer / 2
-            box = [round(at + sign * half) for sign in (-1, 1) for at in middle]
-            found.append(picture.crop(tuple(box)).resize((SIDE, SIDE), Image.Resampling.BICUBIC))
-    return found
+    for side in (min(side, *around.size) for side in sides):
+        corner = [min(max(round(at - side / 2), 0), size - side) for at, size in zip(middle, around.size, strict=True)]
+        found.append(_square(around, corner, side))
+    return found + [_square(alone, [round(at - side / 2) for at in middle], side) for side in sides]
+
+
+def _square(picture: Image.Image, corner: Sequence[int], side: int) -> Image.Image:
+    """Cut a square out, grey beyond the picture, and scale it to what the network takes."""
+    cut = Image.new("RGB", (side, side), (127, 127, 127))
+    cut.paste(picture, (-corner[0], -corner[1]))
+    return cut.resize((SIDE, SIDE), Image.Resampling.BICUBIC)
 
 
 class Classifier:
