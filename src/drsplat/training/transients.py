@@ -76,10 +76,7 @@ def without_transients(
     found = []
     for number, view in enumerate([*views, *held_out]):
         moving = jury.judged(view, is_heard=number < len(views))
-        if moving.any():
-            moving = distort_ids(view.limited(SIDE_PIXELS), moving.astype(np.int32)) == 1
-            view = write_mask(view, moving, folder)
-        found.append(view)
+        found.append(_masked(view, moving, folder) if moving.any() else view)
     return found
 
 
@@ -172,6 +169,11 @@ def _pattern(colors: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w 3
 def _correlation(one: Float64[np.ndarray, "n 3"], other: Float64[np.ndarray, "n 3"]) -> float:
     one, other = one - one.mean(axis=0), other - other.mean(axis=0)
     return float((one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum() + 1e-12))
+
+
+def _masked(view: View, moving: Mask, folder: Path) -> View:
+    """Write the mask of a view on its photo's raster, and return the view with it."""
+    return write_mask(view, distort_ids(view.limited(SIDE_PIXELS), moving.astype(np.int32)) == 1, folder)
 
 
 def _pinhole(view: View) -> View:

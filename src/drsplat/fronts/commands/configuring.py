@@ -14,9 +14,8 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from ...base.contents import Document
 from ...base.system import NO_WAITING, OWN_FILE_FLAGS, can_be_a_path
 from ...base.terminal import counted, plain, quoted
 from ...errors import InputError
@@ -84,7 +83,7 @@ def place(option: argparse.Action) -> str:
     return str(getattr(option, "sequence", option.dest))
 
 
-def _tables(path: str) -> Document:
+def _tables(path: str) -> dict[str, Any]:
     import tomllib
 
     content, fault = _content(path), ""
@@ -115,8 +114,8 @@ def _content(path: str) -> bytes:
 
 
 def _chosen(
-    tables: Document, verb: str, options: Mapping[str, argparse.Action], path: str
-) -> Document:  # fmt: skip
+    tables: dict[str, Any], verb: str, options: Mapping[str, argparse.Action], path: str
+) -> dict[str, Any]:  # fmt: skip
     """Return a verb's settings: all of its own table, and of what stands above the tables what the verb has."""
     common = {_key(key): value for key, value in tables.items() if not isinstance(value, dict)}
     own = tables.get(verb, {})
