@@ -13,7 +13,7 @@ MIN_AREA_SHARE, MAX_AREA_SHARE = 0.0008, 0.6  # of the photo, of a node that is 
 
 
 class Bounds(NamedTuple):
-    """What bounds candidates.
+    """Bounds of candidates, a value each.
 
     outlines: mean strength of the outline along the border; 0 for what has none. framed: share of the border that is
     the photo's frame.
@@ -62,7 +62,7 @@ class RegionTree:
 
     @cached_property
     def bounds(self) -> Bounds:
-        """What bounds each candidate."""
+        """Bounds of the candidates."""
         one, other = (self.candidates[:, side] for side in self.touching.T)
         across = one + other - 2 * one.multiply(other)
         lengths = across @ self.lengths
