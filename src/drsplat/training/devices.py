@@ -15,7 +15,7 @@ from . import device_run, loop
 from .run import CHECKPOINT_EVERY, SAVE_AT, Job, Status, Training
 from .settings import TrainingSettings
 
-DEFAULT_ITERATIONS = 3400
+DEFAULT_ITERATIONS = 3600
 REFINE_FROM_SHARE = 1 / 8  # of the iterations; and no later than originally
 REFINE_UNTIL_SHARE = 0.63  # of the iterations
 MCMC_REFINE_UNTIL_SHARE = 25 / 30  # as in the original schedule of mcmc
