@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from PIL import Image
 
 import drsplat as ds
@@ -21,6 +22,7 @@ from drsplat.photos.embedding.embed import embed
 from drsplat.scene.masks.masks import cut_masks, kept_masks
 from drsplat.scene.photo_masks import load_mask, views_with_something
 from drsplat.scene.photos import undistort_ids
+from drsplat.training import training_photos
 from drsplat.training.evaluation import evaluate
 from drsplat.training.metrics import psnr, ssim
 from drsplat.training.optimizer import Optimizer
@@ -271,6 +273,23 @@ def test_memory_of_photos_counts_their_masks(crowded):
     for index in range(4):
         assert photos[index].num_bytes == 72 * 96 * 4
     assert len(photos._kept) == 2
+
+
+def test_other_masks_are_put_on_photos_that_are_kept(crowded, monkeypatch):
+    folder, _, _ = crowded
+    masked = split_views(ds.read_views(folder), 8).train
+    bare = [replace(view, mask_path=None) for view in masked]
+    photos = TrainingPhotos(bare, 3 * 72 * 96 * 3)
+    before = [photos[index].pixels for index in range(3)]
+    later = photos.with_masks_of(masked)
+    expected = TrainingPhotos(masked, 0)
+    monkeypatch.setattr(training_photos, "load_image", lambda view: pytest.fail(f"{view.name} was read again"))
+    for index in range(3):
+        assert later[index].pixels is before[index]
+        assert_array_equal(later[index].left_out, ~load_mask(masked[index]))
+    monkeypatch.undo()
+    assert_array_equal(later[3].pixels, expected[3].pixels)
+    assert len(later._kept) == 3
 
 
 def test_a_run_does_not_go_on_with_other_masks(crowded, tmp_path):

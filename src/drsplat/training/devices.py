@@ -15,12 +15,13 @@ from . import device_run, loop
 from .run import CHECKPOINT_EVERY, SAVE_AT, Job, Status, Training
 from .settings import TrainingSettings
 
-DEFAULT_ITERATIONS = 4000
+DEFAULT_ITERATIONS = 3600
 REFINE_FROM_SHARE = 1 / 8  # of the iterations; and no later than originally
 REFINE_UNTIL_SHARE = 0.63  # of the iterations
 MCMC_REFINE_UNTIL_SHARE = 25 / 30  # as in the original schedule of mcmc
-FULL_SIZE_FROM_SHARE = 1 / 4  # of the iterations; photos are coarser before
+FULL_SIZE_FROM_SHARE = 1 / 2  # of the iterations; photos are coarser before
 TRANSIENTS_SHARE = 1 / 2  # of the iterations, after which what moves is looked for
+RATES_FALL_FROM_SHARE = 0.8  # of the iterations, after which the noise of single photos is averaged out
 SH_DEGREES = 7  # of harmonics that all the iterations would have time for
 OPACITY_PENALTY = 0.01
 RATES = {"means_rate_end": 1.6e-5, "sh_rest_rate": 5e-4, "scales_rate": 1e-2, "quats_rate": 4e-3}
@@ -45,6 +46,7 @@ def everyday(views: Sequence[View], iterations: int = DEFAULT_ITERATIONS, **chos
         "means_rate_steps": iterations,
         "sh_degree_every": max(iterations // SH_DEGREES, 1),
         "full_size_from": round(FULL_SIZE_FROM_SHARE * iterations),
+        "rates_fall_from": round(RATES_FALL_FROM_SHARE * iterations),
         "transients_at": round(TRANSIENTS_SHARE * iterations),
         "refine_from": min(round(REFINE_FROM_SHARE * iterations), TrainingSettings.refine_from),
         "refine_until": round(refined * iterations),

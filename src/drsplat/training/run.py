@@ -24,7 +24,7 @@ from .density import AdaptiveDensity, MonteCarlo
 from .evaluation import Evaluation
 from .metrics import psnr
 from .optimizer import Optimizer, Slopes
-from .settings import TrainingSettings, active_sh_degree, divisor, means_rate
+from .settings import TrainingSettings, active_sh_degree, divisor, means_rate, other_rates_share
 from .start import scene_extent
 from .training_photos import Photo, TrainingPhotos, ViewOrder
 
@@ -155,8 +155,11 @@ class Run:
 
     def show(self, views: Sequence[View]) -> None:
         """Take these photos from now on: the same ones, perhaps with other masks."""
+        known = getattr(self, "photos", None)
+        self.photos = (
+            TrainingPhotos(views, self.settings.photo_memory_bytes) if known is None else known.with_masks_of(views)
+        )
         self.views = views
-        self.photos = TrainingPhotos(views, self.settings.photo_memory_bytes)
 
     def __len__(self) -> int:
         """Return the present number of Gaussians."""
@@ -258,7 +261,9 @@ class Run:
     def _rates(self) -> Rates:
         s = self.settings
         means = means_rate(s, self.iteration) * self.extent
-        return Rates(means, s.scales_rate, s.quats_rate, s.logits_rate, s.sh_rate, s.sh_rest_rate)
+        others = s.scales_rate, s.quats_rate, s.logits_rate, s.sh_rate, s.sh_rest_rate
+        share = other_rates_share(s, self.iteration)
+        return Rates(means, *(rate * share for rate in others))
 
     def _lap(self, stage: str) -> None:
         now = time.perf_counter()

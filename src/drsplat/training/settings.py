@@ -20,10 +20,13 @@ STRATEGIES = ("default", "mcmc")
 BACKGROUNDS = ("black", "white", "random")
 NOT_OF_AN_ITERATION = ("evaluate_every", "photo_memory_bytes", "iterations")  # `iterations` alone may grow
 
+LAST_RATES_SHARE = 0.1  # D: of the rates that fall (`rates_fall_from`), at the last iteration
+
 SINCE = (
     "antialiased",
     "colors_in_bytes",
     "transients_at",
+    "rates_fall_from",
 )  # settings that older runs did not have; off means as they were
 
 
@@ -49,7 +52,7 @@ class TrainingSettings:
     antialiased: bool = False  # D: splats are dimmed as they are widened (Yu et al., "Mip-Splatting", 2024)
     colors_in_bytes: bool = False  # D: constant colours stay within 0 and 1, as viewers hold them in bytes
     test_every: int = 8  # A: every 8th photo is held out; 0: none
-    full_size_from: int = 0  # D: photos of half their sides before this iteration, of a quarter before a quarter of it
+    full_size_from: int = 0  # D: photos of half their sides before this iteration, of a quarter before an eighth of it
     transients_at: int = 0  # D: after this iteration what moves between photos is left out (`transients`); 0: never
     evaluate_every: int = 0  # D: also measure held-out photos on the way; 0: at the end only
     photo_memory_bytes: int = 2 << 30  # D: decoded photos that are kept; others are read again
@@ -63,6 +66,7 @@ class TrainingSettings:
     logits_rate: float = 0.05  # B, 2023; later releases have 0.025
     scales_rate: float = 5e-3  # B: of the logarithm
     quats_rate: float = 1e-3  # B
+    rates_fall_from: int = 0  # D: all rates but the positions' fall from this iteration to the last one; 0: never
 
     # where Gaussians start
     start_opacity: float | None = None  # B: 0.1; C: 0.5 with mcmc
@@ -123,6 +127,7 @@ class TrainingSettings:
         least |= {
             "full_size_from": 0,
             "transients_at": 0,
+            "rates_fall_from": 0,
             "refine_until": 0,
             "photo_memory_bytes": 0,
             "reset_recovery": 0,
@@ -182,6 +187,14 @@ def means_rate(settings: TrainingSettings, iteration: int) -> float:
     return math.exp((1 - share) * first + share * last)
 
 
+def other_rates_share(settings: TrainingSettings, iteration: int) -> float:
+    """Return what share of their rates all parameters but the positions have: falls exponentially to the last one."""
+    left = settings.iterations - settings.rates_fall_from
+    if not settings.rates_fall_from or left <= 0:
+        return 1.0
+    return LAST_RATES_SHARE ** max((iteration - settings.rates_fall_from) / left, 0.0)
+
+
 def active_sh_degree(settings: TrainingSettings, iteration: int) -> int:
     """Return the degree in use: one more every `sh_degree_every` iterations (3DGS Sec. 7.1)."""
     return min(settings.sh_degree, iteration // settings.sh_degree_every)
@@ -191,7 +204,7 @@ def divisor(settings: TrainingSettings, iteration: int) -> int:
     """Return what the sides of photos are divided by: coarse shapes first, as pixels are what a step costs."""
     if iteration >= settings.full_size_from:
         return 1
-    return 4 if iteration < settings.full_size_from / 4 else 2
+    return 4 if iteration < settings.full_size_from / 8 else 2
 
 
 def refines(settings: TrainingSettings, iteration: int) -> bool:

@@ -72,6 +72,17 @@ class TrainingPhotos:
     def __len__(self) -> int:
         return len(self._views)
 
+    def with_masks_of(self, views: Sequence[View]) -> "TrainingPhotos":
+        """Return the photos of the same views with other masks; those that are kept are not read again."""
+        photos = TrainingPhotos(views, self._room)
+        photos._outside = self._outside
+        for index, photo in self._kept.items():
+            if views[index].mask_path != self._views[index].mask_path:
+                photo = photo._replace(left_out=_left_out(views[index]))
+                photos._room += self._kept[index].num_bytes - photo.num_bytes
+            photos._kept[index] = photo
+        return photos
+
     def read_all(self, threads: int) -> None:
         """Read photos by several threads, as many as are kept: else each is read when it is first asked for."""
         with ThreadPoolExecutor(threads) as pool:
@@ -84,8 +95,7 @@ class TrainingPhotos:
         if index in self._kept:
             return self._kept[index]
         view = self._views[index]
-        kept = load_mask(view)
-        photo = Photo(load_image(view), self._outside_of(view), None if kept is None else ~kept)
+        photo = Photo(load_image(view), self._outside_of(view), _left_out(view))
         with self._counting:
             if photo.num_bytes <= self._room:
                 self._kept[index] = photo
@@ -104,6 +114,11 @@ class TrainingPhotos:
                 self._outside[camera] = outside
                 self._room -= outside.nbytes
             return self._outside[camera]
+
+
+def _left_out(view: View) -> Mask | None:
+    kept = load_mask(view)
+    return None if kept is None else ~kept
 
 
 class ViewOrder:

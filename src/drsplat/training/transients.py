@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ..base.arrays import Float64, Mask
+from ..base.arrays import Float64, Mask, Pixels
 from ..drawing.rendering import render
 from ..formats.mask_files import SUFFIX, write_mask
 from ..kernels import render_channels, splat_arrays, topk_contributions
@@ -29,6 +29,7 @@ from ..scene.views import View
 
 SIDE_PIXELS = 252  # at which photos are compared
 WINDOW = 5  # pixels over which differences are averaged
+MAX_SMALL_PHOTOS = 1000  # that are kept while they are compared, at most 190 MB
 NUM_WEIGHTS = 10  # of a pixel
 DARK = 0.02  # of a colour: darker ones do not tell how bright a photo is
 NOISE = 0.05  # of a colour, added to what the other photos lack
@@ -96,10 +97,20 @@ class _Jury:
         self.gaussians, self.threads = gaussians, threads
         self.splats = splat_arrays(gaussians)
         self.totals = np.zeros((3, len(gaussians)))
+        self._photos: dict[str, Pixels] = {}
+
+    def _small_photo(self, small: View) -> Pixels:
+        """Return the photo of a small view, read once while there is room: to decode it takes longest."""
+        photo = self._photos.get(small.name)
+        if photo is None:
+            photo = load_image(small)
+            if len(self._photos) < MAX_SMALL_PHOTOS:
+                self._photos[small.name] = photo
+        return photo
 
     def compared(self, view: View) -> _Compared:
         small = view.limited(SIDE_PIXELS)
-        photo = load_image(small) / _WHITE
+        photo = self._small_photo(small) / _WHITE
         drawn = render(self.gaussians, _pinhole(view), splats=self.splats, threads=self.threads).rgb.astype(np.float64)
         kept = load_mask(small)
         seen = ndimage.binary_erosion(photo_coverage(small), iterations=FRAME)

@@ -25,7 +25,7 @@ continues with more --iterations."""
 DAILY = "output_dir overwrite iterations resolution device images"
 RESOLUTION_DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
-EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 4000, 30_000  # of the two schedules
+EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 3600, 30_000  # of the two schedules
 MAX_SIDE_PIXELS = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
 
