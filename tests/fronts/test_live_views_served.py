@@ -54,13 +54,20 @@ def send(service: Service, body: Any, **headers: str) -> Any:
     return service("POST", VIEWS, json=body, headers=WITH_KEY | headers)
 
 
+def listed(service: Service) -> dict[str, Any]:
+    return told(service("GET", VIEWS, headers=WITH_KEY))
+
+
 def states(service: Service) -> dict[str, str]:
-    listed = told(service("GET", VIEWS, headers=WITH_KEY))["views"]
-    return {view["name"]: view["state"] for view in listed}
+    return {view["name"]: view["state"] for view in listed(service)["views"]}
+
+
+def answer_of(service: Service) -> dict[str, Any]:
+    return told(service("POST", "/scenes/room/select", json=ASKED, headers=WITH_KEY))
 
 
 def wait_until_added(service: Service) -> None:
-    wait_for(lambda: told(service("GET", VIEWS, headers=WITH_KEY))["num_waiting"] == 0)
+    wait_for(lambda: listed(service)["num_waiting"] == 0)
 
 
 def test_photos_are_added_while_questions_are_answered(scenes, full_room):
@@ -73,17 +80,17 @@ def test_photos_are_added_while_questions_are_answered(scenes, full_room):
             assert (taken.json()["name"], taken.json()["state"]) == (view.name, "waiting")
         cut = base64.b64encode(base64.b64decode(posted(view)["picture"])[:-400]).decode()
         assert send(service, posted(view, name="cut.png", picture=cut)).status_code == 202
-        while told(service("GET", VIEWS, headers=WITH_KEY))["num_waiting"]:
-            answers.append(told(service("POST", "/scenes/room/select", json=ASKED, headers=WITH_KEY))["field"])
-        answers.append(told(service("POST", "/scenes/room/select", json=ASKED, headers=WITH_KEY))["field"])
+        while listed(service)["num_waiting"]:
+            answers.append(answer_of(service)["field"])
+        answers.append(answer_of(service)["field"])
         assert fields & set(answers[-1:])
         assert len(set(answers)) <= 3
-        listed = told(service("GET", VIEWS, headers=WITH_KEY))
-        assert [(one["state"], one["reason"]) for one in listed["views"][:2]] == [("added", "")] * 2
-        assert (listed["views"][2]["name"], listed["views"][2]["state"]) == ("cut.png", "refused")
-        assert listed["views"][2]["reason"].startswith("live_views/images/cut.png: cannot be read as a photo")
-        assert all(one["ended"] > one["arrived"] for one in listed["views"])
-        assert listed["problem"] == ""
+        found = listed(service)
+        assert [(one["state"], one["reason"]) for one in found["views"][:2]] == [("added", "")] * 2
+        assert (found["views"][2]["name"], found["views"][2]["state"]) == ("cut.png", "refused")
+        assert found["views"][2]["reason"].startswith("live_views/images/cut.png: cannot be read as a photo")
+        assert all(one["ended"] > one["arrived"] for one in found["views"])
+        assert found["problem"] == ""
         assert len(told(service("GET", "/scenes/room", headers=WITH_KEY))["views"]) == 4
         photo = service("GET", "/scenes/room/photo", params={"view": "photo_3.png"}, headers=WITH_KEY)
         assert photo.headers["content-type"] == "image/png"
@@ -178,12 +185,12 @@ def test_another_writer_is_waited_for(scenes, full_room, monkeypatch):
     with opened(scenes) as service:
         with claimed_output(scenes / "room/room.field"):
             send(service, posted(read_views(full_room)[2]))
-            wait_for(lambda: told(service("GET", VIEWS, headers=WITH_KEY))["problem"])
-            text = told(service("GET", VIEWS, headers=WITH_KEY))["problem"]
+            wait_for(lambda: listed(service)["problem"])
+            text = listed(service)["problem"]
             assert text.startswith("room/room.field is being written by")
             assert states(service) == {"photo_2.png": "waiting"}
         wait_until_added(service)
-        wait_for(lambda: told(service("GET", VIEWS, headers=WITH_KEY))["problem"] == "")
+        wait_for(lambda: listed(service)["problem"] == "")
         assert states(service) == {"photo_2.png": "added"}
 
 
@@ -192,7 +199,7 @@ def test_a_full_disk_is_told_and_loses_nothing(scenes, full_room):
     one, other = read_views(full_room)[2:]
     with files_of_at_most(30_000), opened(scenes) as service:
         assert send(service, posted(one)).status_code == 202
-        wait_for(lambda: "there is no room left" in told(service("GET", VIEWS, headers=WITH_KEY))["problem"])
+        wait_for(lambda: "there is no room left" in listed(service)["problem"])
         assert states(service) == {one.name: "waiting"}
     with files_of_at_most(1000), opened(scenes) as service:
         text = reason(send(service, posted(other)), 507)
@@ -220,7 +227,7 @@ def test_a_photo_that_ends_the_process_is_refused_and_the_others_are_added(scene
             assert send(service, posted(view)).status_code == 202
         wait_until_added(service)
         assert states(service) == {"photo_2.png": "refused", "photo_3.png": "added"}
-        (refused, _) = told(service("GET", VIEWS, headers=WITH_KEY))["views"]
+        (refused, _) = listed(service)["views"]
         assert "exit code 9" in refused["reason"]
     assert load_field(scenes / "room/room.field").evidence is not None
 
