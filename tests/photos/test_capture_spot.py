@@ -181,6 +181,7 @@ def test_places_are_the_inverse_of_rays(bend):
     assert _places(_rays(places, focal, bend), focal, bend) == pytest.approx(places, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_turn_is_an_error_a_doubtful_one_a_warning_and_a_walk_neither():
     still, walked = (pairs_of(cameras, scene(), 0.75) for cameras in (spot(), along(tilt=6)))
     with pytest.raises(InputError, match=r"rotations alone explain 100% of the pairs .* on the spot.* Walk round"):
