@@ -85,14 +85,15 @@ class ByTasks:
 
 
 class _Deciding(pickle.Pickler):
-    """Pickles what decides a result: not where files are, nor what was computed of the fields of dataclasses."""
+    """Pickles what decides a result: not where files are, nor what dataclasses compute or do not show."""
 
     def persistent_id(self, thing: object) -> str | None:
         return "place" if isinstance(thing, Shared | Remote | Path) else None
 
     def reducer_override(self, thing: Any) -> Any:
         if is_dataclass(thing) and not isinstance(thing, type):
-            return tuple, ([type(thing).__name__, *(getattr(thing, one.name) for one in fields(thing))],)
+            deciding = (getattr(thing, one.name) for one in fields(thing) if one.repr)
+            return tuple, ([type(thing).__name__, *deciding],)
         return NotImplemented
 
 
