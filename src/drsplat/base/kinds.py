@@ -35,7 +35,10 @@ def checked(thing: C) -> C:
     """
     if not isinstance(thing, type):
         return _guarded(thing, thing.__name__)
-    if "__init__" in vars(thing) and not (issubclass(thing, BaseException) or getattr(thing, "_is_protocol", False)):
+    made = next(base for base in thing.__mro__ if "__init__" in vars(base))
+    if inspect.isfunction(made.__init__) and not (  # type: ignore[misc]
+        issubclass(thing, BaseException) or getattr(made, "_is_protocol", False)
+    ):
         thing.__init__ = _guarded(thing.__init__, thing.__name__)  # type: ignore[method-assign]
     return thing
 

@@ -19,13 +19,12 @@ from ..errors import InputError, warn
 from ..scene.photo_masks import MIN_WHITE, load_mask
 from ..scene.photos import photo_size
 from ..scene.views import View
-from .photo_files import find_files, folded
+from .photo_files import IMAGE_FOLDER, MASK_FOLDER, find_files, folded
 from .replacing import replacing
 
-FOLDER, SUFFIX = "masks", ".png"
+FOLDER, SUFFIX = MASK_FOLDER, ".png"
 FOLDERS = (FOLDER, "mask", ".mask")
 FOLDER_NAME = re.compile(r"\.?masks?(_\d+)?")
-IMAGE_FOLDER = re.compile(r"images(_\d+)?")
 INVERTED_PREFIX = "dynamic_mask_"
 BESIDE = ("{name}.mask", "{stem}.mask", "{stem}_mask", INVERTED_PREFIX + "{stem}")  # and the suffix of a picture
 _BESIDE_NAME = re.compile(rf"[._]mask\.\w+$|^{INVERTED_PREFIX}", re.IGNORECASE)

@@ -22,6 +22,7 @@ PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG", ".webp", ".t
 Listing = Callable[[Path], dict[str, list[Path]]]
 
 _MAX_NAME_BYTES = 1024
+MASK_FOLDER, IMAGE_FOLDER = "masks", re.compile(r"images(_\d+)?")
 _MODEL_FOLDERS = re.compile(r"(^|/)(colmap/)?sparse(/[^/]+)?$")
 _ROOT = re.compile(r"//[^/]+/[^/]+/|(//\?/)?[A-Za-z]:/|/")  # of a Windows share, a drive, or a Unix path
 _SUFFIXES = tuple(dict.fromkeys(suffix.lower() for suffix in PHOTO_SUFFIXES))

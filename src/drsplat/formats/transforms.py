@@ -13,8 +13,17 @@ from ..base.arrays import Matrix4, Points
 from ..errors import FormatError, InputError, warn
 from ..scene.views import View
 from .json_files import as_count, as_fields, as_kind, as_list, as_matrix, as_number, as_object, as_text, read_json
-from .mask_files import FOLDER, IMAGE_FOLDER
-from .photo_files import find_files, is_absolute, listed, on_photo, relative_names, safe_name, view_name
+from .photo_files import (
+    IMAGE_FOLDER,
+    MASK_FOLDER,
+    find_files,
+    is_absolute,
+    listed,
+    on_photo,
+    relative_names,
+    safe_name,
+    view_name,
+)
 from .poses import (
     Entry,
     distortion_of,
@@ -211,7 +220,7 @@ def _masks(path: Path, named: Mapping[int, str], names: Sequence[str], photos: s
     Raises: InputError: a mask that is missing.
     """
     tried = [
-        [Path(given)] * _is_path(given) + [path.parent / names[k], path.parent / FOLDER / names[k]]
+        [Path(given)] * _is_path(given) + [path.parent / names[k], path.parent / MASK_FOLDER / names[k]]
         for k, given in named.items()
     ]
     found = dict(zip(named, find_files(tried), strict=True))

@@ -22,13 +22,11 @@ from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
 from ..scene.parted import AnyGaussians, middle
 from ..scene.views import View
-from .answer import Answer, Match
-from .defaults import LABEL
+from .answer import Match
 from .encoding import source_of
 from .measuring import Background
 from .naming import doubt_of, object_names
-from .objects import answer_of, match_of, objects_of
-from .query import Query
+from .objects import match_of, objects_of
 
 if TYPE_CHECKING:
     from .seen import Seen
@@ -234,12 +232,6 @@ class Held:
             return None
         label = self.labels.by_node.get(objects_of(self.field).thing(number))
         return None if label is None else label.name
-
-    def _labelled(self, query: Query) -> Answer | None:
-        """Return exactly what people have given this name; None where they have not, or something is to be measured."""
-        nodes = self.labels.called(query.text or "")
-        exact = bool(nodes) and query.is_default and not query.exclude
-        return answer_of(self.field, nodes, LABEL) if exact else None
 
 
 def view_named(views: Sequence[View], name: str) -> View:

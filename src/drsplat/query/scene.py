@@ -17,7 +17,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, Span
 from ..scene.views import View
 from .answer import Answer, Match, MatchTrack, Segmentation, Word
-from .defaults import COSINE, MIN_GAUSSIANS, OBJECT, SURE
+from .defaults import COSINE, LABEL, MIN_GAUSSIANS, OBJECT, SURE
 from .held import Held
 from .measuring import Measuring
 from .naming import best_names
@@ -94,6 +94,12 @@ class Scene(Held):
         if query.during is not None:
             return self.during(query.during).ask(replace(query, during=None))
         return replace(self._answer(query), drawn=self.picture)
+
+    def _labelled(self, query: Query) -> Answer | None:
+        """Return exactly what people have given this name; None where they have not, or something is to be measured."""
+        nodes = self.labels.called(query.text or "")
+        exact = bool(nodes) and query.is_default and not query.exclude
+        return answer_of(self.field, nodes, LABEL) if exact else None
 
     def _answer(self, query: Query) -> Answer:
         measuring = Measuring(self.background, query, query.exclude)

@@ -10,7 +10,6 @@ from typing import Any, NoReturn
 from ...base.terminal import counted, quoted
 from ...errors import InputError
 from .configuring import Given, configuration, did_you_mean, options_of, place, uses_of
-from .declaring import words
 
 MAX_SHORT_EXAMPLES = 3
 VERB_COLUMN = 14  # where the summaries of the verbs begin
@@ -230,6 +229,8 @@ class VerbParser(Parser):
             flags = [string for action in self.options for string in action.option_strings]
             return f"there is no option {quoted(name)}{did_you_mean(name, flags)}"
         last = next((use for use in reversed(self.given) if not use.option.option_strings), None)
+        from .declaring import words  # which needs more than the help of all verbs may load
+
         if last is not None and last.option.type is words:
             sentence = " ".join([*last.texts, *rest])
             return f'unexpected {quoted(rest[0])}: several words need quotes: "{sentence}"'

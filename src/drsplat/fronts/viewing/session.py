@@ -28,7 +28,7 @@ from ...scene.moving import Span
 from ...scene.views import View
 from . import painting, results
 from .edits import Edits
-from .naming import This, hit_by_ray, inside_outline, known_words, ray_along, this_is
+from .naming import Hit, Ray, This, hit_by_ray, inside_outline, known_words, ray_along, this_is
 from .results import Result
 from .shown import Shown, shown_of
 
@@ -242,14 +242,16 @@ class Session:
         """
         if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
             raise InputError("a click needs a place and a direction")
-        ray = ray_along(self.shown.frame.world(origin), direction)
-        visible = np.zeros(len(self.scene.gaussians), bool)
-        visible[self.scene.field.gaussian_ids] = True
-        hit = hit_by_ray(self.edits.standing, ray, visible & ~self.hidden)
+        hit = self._hit(ray_along(self.shown.frame.world(origin), direction))
         self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
         if hit is not None and self.has_objects:
             self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
         return self.clicked
+
+    def _hit(self, ray: Ray) -> Hit | None:
+        visible = np.zeros(len(self.scene.gaussians), bool)
+        visible[self.scene.field.gaussian_ids] = True
+        return hit_by_ray(self.edits.standing, ray, visible & ~self.hidden)
 
     # --- objects ---
 
