@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from ....base.arrays import Int32, MaskIds, PixelNumbers, Pixels
+from ....base.arrays import MaskIds, PixelNumbers, Pixels
 from ....errors import InputError
 from ....kernels.photo_regions import (
     BORDER_STEPS,
@@ -16,7 +16,6 @@ from ....kernels.photo_regions import (
     SEEN_FEATURE,
     Layers,
     PairRule,
-    RegionGraph,
     Sight,
     flooded,
     lab_colors,
@@ -32,6 +31,11 @@ BASIN_PIXELS = 7  # side of the square in which a region begins at the lowest pi
 FLAT_STRENGTH = 0.02  # below which all pixels that touch begin one region
 HEIGHT_STEPS = 4096  # of strength, in which pixels are flooded: the same order on any processor
 VERSION = "2"  # of everything here
+# Only the mean strength along a border counts; six digits tell strengths of 0 to 1 apart, as a likelihood hardly bends.
+WEAKEST_FIRST: PairRule = (
+    np.zeros(PAIR_FEATURES), np.ones(PAIR_FEATURES), -np.eye(PAIR_FEATURES)[:, [SEEN_FEATURE]],
+    np.array([0.5]), np.array([4.0]), np.zeros(1),
+)  # fmt: skip
 
 
 @cache
@@ -56,23 +60,10 @@ def region_tree(image: Pixels, *, both: bool = False, threads: int = 0) -> Regio
     outlined = region_graph(labels, lab, Sight(np.round(strength * BORDER_STEPS).astype(np.int32), sight.traits))
     pairs = merge_order(graph, shipped_rule()[0].parts)
     if both:
-        pairs = np.concatenate([pairs, _weakest_first(outlined, len(pairs))])
+        again = merge_order(outlined, WEAKEST_FIRST)
+        pairs = np.concatenate([pairs, np.where(again < len(graph.sums), again, again + np.int32(len(pairs)))])
     strengths = outlined.borders[:, SEEN] / (2 * BORDER_STEPS)
     return RegionTree(labels, pairs, graph.pairs, outlined.borders[:, LENGTH], strengths)
-
-
-def _weakest_first(graph: RegionGraph, before: int) -> Int32[np.ndarray, "k 2"]:
-    """Return the nodes that merge where the outline is weakest on average. before: unions that have numbers already."""
-    pairs = merge_order(graph, _strength_rule())
-    return np.where(pairs < len(graph.sums), pairs, pairs + np.int32(before))
-
-
-def _strength_rule() -> PairRule:
-    """Return a rule that asks for nothing but the mean strength along the border: the weaker, the likelier."""
-    hidden = np.zeros((PAIR_FEATURES, 1))
-    hidden[SEEN_FEATURE] = -1
-    # near its middle a likelihood hardly bends, so that six digits tell strengths apart from 0 to 1
-    return np.zeros(PAIR_FEATURES), np.ones(PAIR_FEATURES), hidden, np.array([0.5]), np.array([4.0]), np.zeros(1)
 
 
 def basins(strength: PixelNumbers) -> MaskIds:
