@@ -17,8 +17,8 @@ show the joined things, their pieces in colours.
 
 --voices: after each place the same, voted, with a voice left out or added; --only-voices: nothing else. Features are
 those of the built-in encoder, which keep pieces apart; depth between pieces is what joins them by relief
-(docs/grouping.md); the learned order of merging gives way to that of the outlines' strength, or both are candidates;
-depth in outlines weakens those where the scene has no step, FLAT_SHARE.
+(docs/grouping.md); of the two orders of merging, either can do without the other; depth in outlines weakens those
+where the scene has no step, FLAT_SHARE, which changes their order too.
 
 --surfaces: which listed objects are said to be surfaces, by what most of their Gaussians are. Right are SURFACES. The
 last column has the listed objects of 500 Gaussians or more that are surfaces, by what they are, and in brackets those
@@ -185,17 +185,26 @@ def flat(vote: Vote) -> Vote:
     return vote._replace(tree=replace(vote.tree, strengths=0.8 * vote.tree.lengths))
 
 
-def reordered(vote: Vote) -> Vote:
-    """Regions merge where the outline between them is weakest on average, not by the learned rule."""
+def learned(vote: Vote) -> Vote:
+    """Candidates of the learned order alone."""
+    return vote._replace(tree=replace(vote.tree, pairs=learned_pairs(vote.tree)))
+
+
+def outlined(vote: Vote) -> Vote:
+    """Candidates of the order of outlines alone, the weakest first."""
     return vote._replace(tree=replace(vote.tree, pairs=order_of_outlines(vote.tree)))
+
+
+def learned_pairs(tree: RegionTree) -> np.ndarray:
+    """The unions of the first tree: all of a photo hangs together."""
+    return tree.pairs[: len(tree) - 1]
 
 
 def both(vote: Vote, strengths: RegionTree) -> Vote:
     """Candidates of the learned order and of that by the strengths of another tree of the same regions, one vote."""
-    own, count = order_of_outlines(strengths), len(vote.tree)
-    own = np.where(own < count, own, own + len(vote.tree.pairs))
-    pairs = np.concatenate([vote.tree.pairs, own]).astype(np.int32)
-    return vote._replace(tree=replace(strengths, pairs=pairs))
+    own, pairs = order_of_outlines(strengths), learned_pairs(vote.tree)
+    own = np.where(own < len(vote.tree), own, own + len(pairs))
+    return vote._replace(tree=replace(strengths, pairs=np.concatenate([pairs, own]).astype(np.int32)))
 
 
 def order_of_outlines(tree: RegionTree) -> np.ndarray:
@@ -285,8 +294,8 @@ class Study(NamedTuple):
         pieces["without depth between pieces"] = self.tree(self.evidence, relief=False)
         said = {
             "without outlines' strength": [flat(vote) for vote in votes],
-            "without the learned order": [reordered(vote) for vote in votes],
-            "with both orders": [both(vote, vote.tree) for vote in votes],
+            "learned order alone": [learned(vote) for vote in votes],
+            "order of outlines alone": [outlined(vote) for vote in votes],
             "with depth in outlines": deep,
         }
         yield "without votes", self.found(tree)

@@ -1,6 +1,7 @@
 """Votes of photos: pieces that their outlines hold together are joined, and what is stronger alone is not."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -86,6 +87,17 @@ def test_most_photos_decide():
         trees = [
             misled(tree) if number < wrong else tree for number, tree in enumerate(photo_of(rng) for _ in range(7))
         ]
+        assert things_of(with_voted(pieces(), votes_of(trees))) == joined
+
+
+def test_what_one_order_of_merging_misses_another_may_find():
+    """In every photo the learned order takes the print with the ground, and that of outlines with the sheet."""
+    rng = default_rng(5)
+    right = [photo_of(rng) for _ in range(6)]
+    wrong = [replace(tree, pairs=np.int32([[0, 2], [4, 3], [5, 1]])) for tree in right]
+    after = [[node + 3 if node >= 4 else node for node in pair] for pair in right[0].pairs.tolist()]
+    both = [replace(tree, pairs=np.concatenate([tree.pairs, np.int32(after)])) for tree in wrong]
+    for trees, joined in ((wrong, []), (right, [{1, 2}]), (both, [{1, 2}])):
         assert things_of(with_voted(pieces(), votes_of(trees))) == joined
 
 

@@ -19,6 +19,7 @@ from drsplat.field.forest import JOINED, VOTED
 from drsplat.field.growing import change_field, remove_views
 from drsplat.field.objects.finding import find_objects
 from drsplat.formats.poses import write_cameras_json
+from drsplat.formats.tensors import read_tensors
 from drsplat.photos.embedding import objects_first
 from drsplat.photos.embedding.growing import grow_field
 from drsplat.photos.embedding.voting import vote_for_objects, votes_beside
@@ -103,6 +104,8 @@ def test_the_result_is_the_same_at_any_number_of_threads_and_from_kept_parts(sce
     three = vote_for_objects(halves, scene, photos, kept=tmp_path / "three", threads=3)
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "one").iterdir()}
     assert len(files) == 2 * len(photos)
+    trees = [read_tensors(path)[0] for path in files if ".regions." in path.name]
+    assert {len(tree["pairs"]) - 2 * tree["labels"].max() for tree in trees} == {0}  # of both orders
     again = vote_for_objects(halves, scene, photos, kept=tmp_path / "one")
     assert files == {path: path.stat().st_mtime_ns for path in (tmp_path / "one").iterdir()}
     next(iter(files)).write_bytes(b"damaged")
@@ -110,6 +113,22 @@ def test_the_result_is_the_same_at_any_number_of_threads_and_from_kept_parts(sce
     for other in (three, again, mended):
         for name, array in one.tensors().items():
             assert_array_equal(array, other.tensors()[name], err_msg=name)
+
+
+def test_what_an_earlier_version_kept_of_photos_is_made_again(scene, photos, halves, tmp_path, monkeypatch):
+    kept = tmp_path / "kept"
+    with monkeypatch.context() as patch:
+        patch.setattr("drsplat.photos.embedding.voting.identity", lambda: "1 of earlier weights")
+        vote_for_objects(halves, scene, photos, kept=kept)
+    with refused("none of 0 photos is of this field"):
+        vote_for_objects(halves, scene, [], kept=kept)
+    with pytest.warns(DrSplatWarning, match="2 photos of the field do not vote.*: 3.png, 4.png"):
+        vote_for_objects(halves, scene, photos[:3], kept=kept)
+    mended = vote_for_objects(halves, scene, photos, kept=kept)
+    fresh = vote_for_objects(halves, scene, photos, kept=tmp_path / "fresh")
+    for name, array in fresh.tensors().items():
+        assert_array_equal(array, mended.tensors()[name], err_msg=name)
+    assert files_of(kept) == files_of(tmp_path / "fresh")
 
 
 def test_photos_of_something_else_are_refused(scene, photos, halves, tmp_path):
@@ -322,10 +341,40 @@ def test_regions_are_basins_that_share_no_pixel():
     assert (labels[:, 32:] == labels[0, -1]).all()
 
 
-def test_a_tree_holds_what_is_outlined():
+def square_picture() -> np.ndarray:
     picture = np.full((240, 320, 3), 60, np.uint8)
     picture[60:180, 100:220] = (200, 190, 170)
-    picture = np.clip(picture + np.random.default_rng(0).integers(-3, 4, picture.shape), 0, 255).astype(np.uint8)
+    return np.clip(picture + np.random.default_rng(0).integers(-3, 4, picture.shape), 0, 255).astype(np.uint8)
+
+
+def test_a_second_tree_merges_where_the_outline_is_weakest():
+    picture = square_picture()
+    picture[100:140, 20:80] = np.arange(60)[None, :, None] * 3  # an edge that fades
+    picture[80:160:8, 120:200] = (180, 60, 40)
+    tree, more = (region_tree(picture, both=True, threads=threads) for threads in (1, 2))
+    for name, array in vars(tree).items():
+        assert_array_equal(array, vars(more)[name])
+    count, first = len(tree), region_tree(picture).pairs
+    assert_array_equal(tree.pairs[: count - 1], first)
+    second = tree.pairs[count - 1 :]
+    second = np.where(second < count, second, second - len(first))
+    assert len(second) == count - 1
+    assert count > 20
+    assert second.tolist() != first.tolist()
+    borders = {frozenset(pair): np.array(border) for pair, *border in
+               zip(tree.touching.tolist(), tree.strengths, tree.lengths, strict=True)}  # fmt: skip
+    for union, pair in enumerate(second.tolist(), count):
+        means = {ends: strength / length for ends, (strength, length) in borders.items()}
+        assert means[frozenset(pair)] <= min(means.values()) + 1e-5  # likelihoods have six digits
+        borders.pop(frozenset(pair))
+        for ends in [ends for ends in borders if not ends.isdisjoint(pair)]:
+            now = ends - {*pair} | {union}
+            borders[now] = borders.get(now, 0) + borders.pop(ends)
+    assert not borders
+
+
+def test_a_tree_holds_what_is_outlined():
+    picture = square_picture()
     one, two = region_tree(picture, threads=1), region_tree(picture, threads=2)
     for name, array in vars(one).items():
         assert_array_equal(array, vars(two)[name])

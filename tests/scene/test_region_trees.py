@@ -1,5 +1,7 @@
 """Hierarchies of a photo's regions: their candidates, and how these are outlined and framed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,11 +17,7 @@ def tree_of(seed: int, height: int = 12, width: int = 15, count: int = 9) -> tup
     rng = np.random.default_rng(seed)
     labels = rng.integers(0, count, (height, width)).astype(np.int32)
     labels.ravel()[:count] = np.arange(count)  # every number in use
-    alive, pairs = list(range(count)), []
-    while len(alive) > 1:
-        one, other = rng.choice(len(alive), 2, replace=False)
-        pairs.append((alive[one], alive[other]))
-        alive = [node for place, node in enumerate(alive) if place not in (one, other)] + [count + len(pairs) - 1]
+    pairs = pairs_of(rng, count)
     strength = rng.random((count, count))
     strength += strength.T
     sides = [(labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])]
@@ -29,10 +27,18 @@ def tree_of(seed: int, height: int = 12, width: int = 15, count: int = 9) -> tup
     lengths += lengths.T
     touching = np.argwhere(np.triu(lengths, 1) > 0)
     along = lengths[tuple(touching.T)]
-    tree = RegionTree(
-        labels, np.array(pairs, np.int32), touching.astype(np.int32), along, along * strength[tuple(touching.T)]
-    )
+    tree = RegionTree(labels, pairs, touching.astype(np.int32), along, along * strength[tuple(touching.T)])
     return tree, strength
+
+
+def pairs_of(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Unions of a binary tree at random."""
+    alive, pairs = list(range(count)), []
+    while len(alive) > 1:
+        one, other = rng.choice(len(alive), 2, replace=False)
+        pairs.append((alive[one], alive[other]))
+        alive = [node for place, node in enumerate(alive) if place not in (one, other)] + [count + len(pairs) - 1]
+    return np.array(pairs, np.int32)
 
 
 @pytest.fixture(autouse=True)
@@ -50,6 +56,18 @@ def test_candidates_are_the_nodes_of_the_tree(seed):
         assert expected[one].isdisjoint(expected[other])
         expected.append(expected[one] | expected[other])
     assert found == expected
+
+
+@given(st.integers(0, 10**6))
+def test_candidates_of_two_trees_are_the_nodes_of_both_each_once(seed):
+    first, _ = tree_of(seed, count=6)
+    second = replace(first, pairs=pairs_of(np.random.default_rng(seed + 1), 6))
+    later = np.where(second.pairs < 6, second.pairs, second.pairs + len(first.pairs))
+    both = replace(first, pairs=np.concatenate([first.pairs, later]))
+    one, other, found = (
+        [tuple(row) for row in tree.candidates.toarray().tolist()] for tree in (first, second, both)
+    )  # fmt: skip
+    assert found == [*one, *(row for row in other if row not in one)]
 
 
 @given(st.integers(0, 10**6))

@@ -24,6 +24,7 @@ TRAIT = slice(HISTOGRAM.stop, HISTOGRAM.stop + TRAITS)
 TRAIT_SQUARE = TRAIT.stop
 COLUMNS = TRAIT_SQUARE + 1
 LENGTH, STEP, STEP_CHROMA, SEEN, TRAIT_STEP = range(5)
+PAIR_FEATURES, SEEN_FEATURE = 42, 36  # what a rule asks of a pair; the mean of SEEN along its border
 
 Layers = tuple[Float32[np.ndarray, "..."], ...]
 PairRule = tuple[Float64[np.ndarray, "..."], ...]

@@ -123,7 +123,7 @@ class _Electorate:
         marks = self._marks | {"photo": hash_file(view.image_path)}
         if not is_finished(path, marks):
             columns.unlink(missing_ok=True)  # those of other regions
-            tree = region_tree(load_image(replace(view, distortion=None)), threads=self.threads)
+            tree = region_tree(load_image(replace(view, distortion=None)), both=True, threads=self.threads)
             write_tensors(path, vars(tree), marks, overwrite=True)
         return _read(path)
 

@@ -1,4 +1,4 @@
-"""A photo in small regions, and the order in which they merge into things: its hierarchy of candidates for masks."""
+"""A photo in small regions, and the orders in which they merge into things: its hierarchy of candidates for masks."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,11 +25,11 @@ class Bounds(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RegionTree:
-    """Regions of a photo with a binary tree over them.
+    """Regions of a photo with one binary tree over them, or several.
 
     labels: region of each pixel, from 0, every number in use. pairs: numbers of the two nodes that become one: regions
-    first, then unions in their order. touching: regions that touch. lengths: of their border. strengths: sum of the
-    outline's strength, 0 to 1, along it.
+    first, then unions in their order, tree after tree. touching: regions that touch. lengths: of their border.
+    strengths: sum of the outline's strength, 0 to 1, along it.
     """
 
     labels: MaskIds
@@ -49,13 +49,14 @@ class RegionTree:
 
     @cached_property
     def candidates(self) -> csr_array:
-        """Return which regions are in each candidate, (c, n) of 0 and 1: nodes of MIN_ to MAX_AREA_SHARE."""
+        """Return which regions are in each candidate, (c, n) of 0 and 1: nodes of MIN_ to MAX_AREA_SHARE, each once."""
         areas, inside = self.areas, [np.array([region]) for region in range(len(self))]
         inside += [np.empty(0, np.int64)] * len(self.pairs)
         for node, (one, other) in enumerate(self.pairs.tolist(), len(self)):
-            inside[node] = np.concatenate([inside[one], inside[other]])
+            inside[node] = np.sort(np.concatenate([inside[one], inside[other]]))
         total = self.labels.size
-        kept = [some for some in inside if MIN_AREA_SHARE * total < areas[some].sum() < MAX_AREA_SHARE * total]
+        sized = (some for some in inside if MIN_AREA_SHARE * total < areas[some].sum() < MAX_AREA_SHARE * total)
+        kept = {some.tobytes(): some for some in sized}.values()  # two trees have nodes in common
         rows = np.repeat(np.arange(len(kept)), [len(some) for some in kept])
         columns = np.concatenate([np.empty(0, np.int64), *kept])
         return csr_array((np.ones(len(columns), np.float32), (rows, columns)), shape=(len(kept), len(self)))

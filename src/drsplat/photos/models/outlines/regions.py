@@ -1,4 +1,4 @@
-"""Regions that outlines bound, and the order in which `graph`'s rule merges them."""
+"""Regions that outlines bound, and the orders in which they merge: that of `graph`'s rule, and that of outlines."""
 
 from functools import cache
 
@@ -11,8 +11,11 @@ from ....errors import InputError
 from ....kernels.photo_regions import (
     BORDER_STEPS,
     LENGTH,
+    PAIR_FEATURES,
     SEEN,
+    SEEN_FEATURE,
     Layers,
+    PairRule,
     Sight,
     flooded,
     lab_colors,
@@ -27,7 +30,12 @@ BLUR_PIXELS = 1.0
 BASIN_PIXELS = 7  # side of the square in which a region begins at the lowest pixels
 FLAT_STRENGTH = 0.02  # below which all pixels that touch begin one region
 HEIGHT_STEPS = 4096  # of strength, in which pixels are flooded: the same order on any processor
-VERSION = "1"  # of everything here
+VERSION = "2"  # of everything here
+# Only the mean strength along a border counts; six digits tell strengths of 0 to 1 apart, as a likelihood hardly bends.
+WEAKEST_FIRST: PairRule = (
+    np.zeros(PAIR_FEATURES), np.ones(PAIR_FEATURES), -np.eye(PAIR_FEATURES)[:, [SEEN_FEATURE]],
+    np.array([0.5]), np.array([4.0]), np.zeros(1),
+)  # fmt: skip
 
 
 @cache
@@ -36,11 +44,11 @@ def identity() -> str:
     return " ".join([VERSION, shipped_outlines()[1], shipped_network()[1], shipped_rule()[1]])
 
 
-def region_tree(image: Pixels, *, threads: int = 0) -> RegionTree:
+def region_tree(image: Pixels, *, both: bool = False, threads: int = 0) -> RegionTree:
     """Return the regions of a photo and their tree, on a raster of at most 640x480 pixels; the same at any `threads`.
 
     Regions are basins of the outlines' strength. They merge as in `graph`, on and on: its rule says which two are
-    likeliest of one thing.
+    likeliest of one thing. both: the unions of a second tree follow, in which the two merge whose outline is weakest.
 
     Raises: InputError: an image without pixels.
     """
@@ -49,11 +57,13 @@ def region_tree(image: Pixels, *, threads: int = 0) -> RegionTree:
     labels, lab = basins(strength), lab_colors(working, threads=threads)
     sight = look(working, shipped_network()[0], threads=threads)
     graph = region_graph(labels, lab, sight)
+    outlined = region_graph(labels, lab, Sight(np.round(strength * BORDER_STEPS).astype(np.int32), sight.traits))
     pairs = merge_order(graph, shipped_rule()[0].parts)
-    outlined = Sight(np.round(strength * BORDER_STEPS).astype(np.int32), sight.traits)
-    borders = region_graph(labels, lab, outlined).borders
-    strengths = borders[:, SEEN] / (2 * BORDER_STEPS)
-    return RegionTree(labels, pairs, graph.pairs, borders[:, LENGTH], strengths)
+    if both:
+        again = merge_order(outlined, WEAKEST_FIRST)
+        pairs = np.concatenate([pairs, np.where(again < len(graph.sums), again, again + np.int32(len(pairs)))])
+    strengths = outlined.borders[:, SEEN] / (2 * BORDER_STEPS)
+    return RegionTree(labels, pairs, graph.pairs, outlined.borders[:, LENGTH], strengths)
 
 
 def basins(strength: PixelNumbers) -> MaskIds:
