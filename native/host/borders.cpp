@@ -9,6 +9,7 @@ namespace drsplat {
 namespace {
 
 constexpr uint64_t kBlock = 256;
+constexpr double kSlack = 1e-5;  // more than bounds are rounded by
 
 int32_t root_of(std::vector<int32_t> &up, int32_t i) {
   while (up[i] != i) i = up[i] = up[up[i]];
@@ -38,32 +39,36 @@ struct Rebordering {
   const Groups &groups;
   std::vector<Border> moved;
 
-  // What stays, in its place; the others are moved out.
-  void part(std::vector<Border> &borders) {
+  bool stays(const Border &border) const {
+    return groups.size((size_t)numbers[border.a]) == 1 && groups.size((size_t)numbers[border.b]) == 1;
+  }
+
+  // What stays, in its place; the others are moved out, by the lower number.
+  std::vector<size_t> part(std::vector<Border> &borders) {
+    std::vector<size_t> at(groups.begins.size());
+    const auto low = [&](const Border &border) { return (size_t)std::min(numbers[border.a], numbers[border.b]); };
+    for (const Border &border : borders)
+      if (numbers[border.a] != numbers[border.b] && !stays(border)) at[low(border) + 1]++;
+    std::partial_sum(at.begin(), at.end(), at.begin());
+    std::vector<size_t> next(at.begin(), at.end() - 1);
+    moved.resize(at.back());
     size_t kept = 0;
     for (const Border &border : borders) {
       const int32_t a = numbers[border.a], b = numbers[border.b];
       if (a == b) continue;
-      if (groups.size((size_t)a) == 1 && groups.size((size_t)b) == 1)
-        borders[kept++] = {a, b, border.shared, border.seen, border.score};
-      else moved.push_back({std::min(a, b), std::max(a, b), border.shared, border.seen, kUnknown});
+      if (stays(border)) borders[kept++] = {a, b, border.shared, border.seen, border.score};
+      else moved[next[low(border)]++] = {std::min(a, b), std::max(a, b), border.shared, border.seen, kUnknown};
     }
     borders.resize(kept);
+    return at;
   }
 
-  void sort(int threads) {
-    std::vector<size_t> at(groups.begins.size());  // counted by the lower number, then sorted by the higher one
-    for (const Border &border : moved) at[(size_t)border.a + 1]++;
-    std::partial_sum(at.begin(), at.end(), at.begin());
-    std::vector<Border> sorted(moved.size());
-    std::vector<size_t> next(at.begin(), at.end() - 1);
-    for (const Border &border : moved) sorted[next[(size_t)border.a]++] = border;
+  void sort(const std::vector<size_t> &at, int threads) {
     over_rows(at.size() - 1, 16 * kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
       for (uint64_t n = begin; n < end; n++)
-        std::stable_sort(sorted.begin() + (ptrdiff_t)at[n], sorted.begin() + (ptrdiff_t)at[n + 1],
+        std::stable_sort(moved.begin() + (ptrdiff_t)at[n], moved.begin() + (ptrdiff_t)at[n + 1],
                          [](const Border &x, const Border &y) { return x.b < y.b; });
     });
-    moved = std::move(sorted);
   }
 
   void unite() {
@@ -94,29 +99,38 @@ double pulled(const Agreement &sum, const MergeRule &rule) {
   return (sum.shared + rule.prior * rule.least) / (sum.seen + rule.least);
 }
 
-std::vector<Border> first_borders(const Regions &all, const std::vector<Edge> &edges, double soft, int threads) {
-  std::vector<Border> borders(edges.size());
-  over_rows(edges.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+std::vector<Border> first_borders(const Regions &all, const Votes &votes, const Edge *edges, size_t count, double soft,
+                                  int threads) {
+  std::vector<Border> borders(count);
+  std::vector<Table> tables((size_t)threads, {all, votes});
+  over_rows(count, kBlock, threads, [&](int t, uint64_t begin, uint64_t end) {
     for (uint64_t e = begin; e < end; e++) {
-      const Agreement sum = agreement(all, all.regions[edges[e].a], all.regions[edges[e].b], soft);
+      const Agreement sum = tables[(size_t)t].of(all.regions[edges[e].a], all.regions[edges[e].b], soft);
       borders[e] = {edges[e].a, edges[e].b, (float)sum.shared, (float)sum.seen, kUnknown};
     }
   });
   return borders;
 }
 
-// At first the border of two rows is all that there is of them.
-void score(const Regions &all, std::vector<Border> &borders, const MergeRule &rule, uint32_t dim, bool first,
-           int threads) {
-  over_rows(borders.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+// What is below the threshold, however much the two agree, is left for later: mostly its regions change before.
+void score(const Regions &all, std::vector<Border> &borders, const MergeRule &rule, const Votes &votes,
+           double threshold, int threads) {
+  const double most = std::max(1.0, rule.prior), whole_share = 1 - rule.local;
+  const double enough = threshold - kSlack * (1 + most);
+  std::vector<Table> tables((size_t)threads, {all, votes});
+  over_rows(borders.size(), kBlock, threads, [&](int t, uint64_t begin, uint64_t end) {
     for (uint64_t e = begin; e < end; e++) {
       Border &border = borders[e];
       if (border.score != kUnknown) continue;
       const Region &a = all.regions[border.a], &b = all.regions[border.b];
-      const Agreement whole = first ? Agreement{border.shared, border.seen} : agreement(all, a, b, rule.soft);
-      const double along = pulled({border.shared, border.seen}, rule), over = pulled(whole, rule);
-      const double unlike = rule.unlike * distance(all, a, b, dim, rule.unit);
-      border.score = (float)(rule.local * along + (1 - rule.local) * over - unlike);
+      const bool rows = a.node < (int32_t)votes.rows && b.node < (int32_t)votes.rows;  // there is but their border
+      const double along = pulled({border.shared, border.seen}, rule), base = rule.local * along;
+      const double bound = base + std::max(0.0, whole_share) * (rows ? along : most);
+      if (bound < enough) continue;
+      const double unlike = rule.unlike * distance(all, a, b, votes.dim, rule.unit);
+      if (bound - unlike < enough) continue;
+      const double over = rows ? along : pulled(tables[(size_t)t].of(a, b, rule.soft), rule);
+      border.score = (float)(base + whole_share * over - unlike);
     }
   });
 }
@@ -156,7 +170,7 @@ Groups grouped(const std::vector<int32_t> &numbers, int32_t count) {
 void make_borders_anew(std::vector<Border> &borders, const std::vector<int32_t> &numbers, const Groups &groups,
                        int threads) {
   Rebordering how{numbers, groups, {}};
-  how.part(borders), how.sort(threads), how.unite(), how.merge_into(borders);
+  how.sort(how.part(borders), threads), how.unite(), how.merge_into(borders);
 }
 
 }  // namespace drsplat

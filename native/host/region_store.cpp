@@ -50,6 +50,26 @@ Agreement agreement(const Regions &all, const Region &a, const Region &b, double
   return sum;
 }
 
+Agreement Table::of(const Region &a, const Region &b, double soft) {
+  if (held != &a) {
+    if (held) each(*held, [](float &x, float) { x = 0; });
+    each(a, [](float &x, float value) { x = value; }), held = &a;
+  }
+  Agreement sum;
+  const Entry *entries = all.entries_of(b);
+  const Sight *sight = all.sights_of(b), *end = sight + b.num_sights;
+  for (; sight < end; sight++) {
+    const double mass = masses[(size_t)sight->view];
+    if (mass == 0) continue;
+    const double known = (mass + soft) * (sight->mass + soft);
+    double both = 0;
+    for (uint32_t e = sight[0].entry; e < sight[1].entry; e++)
+      both += (double)weights[(size_t)entries[e].column] * entries[e].weight;
+    sum.shared += both / known, sum.seen += mass * sight->mass / known;
+  }
+  return sum;
+}
+
 double distance(const Regions &all, const Region &a, const Region &b, uint32_t dim, double unit) {
   const float *f = all.features.data() + (size_t)a.place * dim, *g = all.features.data() + (size_t)b.place * dim;
   double cosine = 0;
@@ -84,8 +104,7 @@ Regions first_regions(const Votes &votes, int threads) {
   all.regions.reserve(votes.rows), all.entries.reserve(2 * weights), all.sights.reserve(2 * (weights + votes.rows));
   for (uint32_t r = 0; r < votes.rows; r++) {
     const auto entries = (int64_t)all.entries.size(), sights = (int64_t)all.sights.size();
-    for (int64_t e = votes.starts[r]; e < votes.starts[r + 1]; e++)
-      all.entries.push_back({votes.columns[e], votes.weights[e]});
+    for (int64_t e = votes.begin(r); e < votes.end(r); e++) all.entries.push_back({votes.columns[e], votes.weights[e]});
     const size_t count = all.entries.size() - (size_t)entries;
     const int32_t seen = add_sights(all.entries.data() + entries, count, votes.views, all.sights);
     all.regions.push_back({sights, entries, seen, (int32_t)r, (int32_t)r});

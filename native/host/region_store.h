@@ -47,6 +47,26 @@ struct Agreement {
 // Over the views that see both, how much the same masks hold both.
 Agreement agreement(const Regions &, const Region &, const Region &, double soft);
 
+// Agreement of one region with many, without a search: what it gets from each view and mask, in a table.
+struct Table {
+  Table(const Regions &regions, const Votes &votes) : all(regions), masses(votes.num_views()), weights(votes.masks) {}
+
+  // As agreement(a, b), quicker if the last one was of a, too.
+  Agreement of(const Region &a, const Region &b, double soft);
+
+  template <class Set>
+  void each(const Region &region, Set set) {
+    const Sight *sights = all.sights_of(region);
+    const Entry *entries = all.entries_of(region);
+    for (int32_t s = 0; s < region.num_sights; s++) set(masses[(size_t)sights[s].view], sights[s].mass);
+    for (int64_t e = 0; e < all.num_entries(region); e++) set(weights[(size_t)entries[e].column], entries[e].weight);
+  }
+
+  const Regions &all;
+  const Region *held = nullptr;
+  std::vector<float> masses, weights;
+};
+
 // Of the regions' mean embeddings, 1 for unrelated ones.
 double distance(const Regions &, const Region &, const Region &, uint32_t dim, double unit);
 

@@ -18,38 +18,41 @@ struct Summing {
     int32_t column;
     double weight;
   };
-  std::vector<Sum> runs, merged;
+  std::vector<Sum> runs, merged;  // as large as they ever had to be
   std::vector<size_t> ends;
 
+  size_t size() const { return ends.empty() ? 0 : ends.back(); }
+
   void add(const Entry *entries, size_t count) {
-    for (size_t e = 0; e < count; e++) runs.push_back({entries[e].column, entries[e].weight});
-    ends.push_back(runs.size());
+    const size_t begin = size();
+    if (runs.size() < begin + count) runs.resize(begin + count);
+    for (size_t e = 0; e < count; e++) runs[begin + e] = {entries[e].column, entries[e].weight};
+    ends.push_back(begin + count);
   }
 
   void merge() {
-    while (ends.size() > 1) {
-      merged.clear();
-      std::vector<size_t> next;
+    for (; ends.size() > 1; runs.swap(merged)) {
+      if (merged.size() < size()) merged.resize(size());
+      Sum *to = merged.data();
+      size_t kept = 0;
       for (size_t r = 0, begin = 0; r < ends.size(); r += 2) {
         const size_t middle = ends[r], end = r + 1 < ends.size() ? ends[r + 1] : middle;
-        merge(runs.data() + begin, runs.data() + middle, runs.data() + end);
-        next.push_back(merged.size()), begin = end;
+        to = merge(runs.data() + begin, runs.data() + middle, runs.data() + end, to);
+        ends[kept++] = (size_t)(to - merged.data()), begin = end;
       }
-      ends.swap(next), runs.swap(merged);
+      ends.resize(kept);
     }
   }
 
-  void merge(const Sum *x, const Sum *middle, const Sum *end) {
+  static Sum *merge(const Sum *x, const Sum *middle, const Sum *end, Sum *to) {
     const Sum *y = middle;
     while (x < middle && y < end) {
       const int32_t p = x->column, q = y->column;
-      merged.push_back({std::min(p, q), (p <= q ? x->weight : 0) + (q <= p ? y->weight : 0)});
+      *to++ = {std::min(p, q), (p <= q ? x->weight : 0) + (q <= p ? y->weight : 0)};
       x += p <= q, y += q <= p;
     }
-    merged.insert(merged.end(), x, middle), merged.insert(merged.end(), y, end);
+    return std::copy(y, end, std::copy(x, middle, to));
   }
-
-  void clear() { runs.clear(), ends.clear(); }
 };
 
 // New regions of several, and what is to be known of them. Numbers in them count from the part's own beginnings.
@@ -70,12 +73,11 @@ struct Growing {
 
   Growing(const Votes &v, const MergeRule &r, int threads)
       : votes(v), rule(r), all(first_regions(v, threads)), mask_masses(v.masks) {
-    for (int64_t e = v.starts[0]; e < v.starts[v.rows]; e++) mask_masses[v.columns[e]] += v.weights[e];
     forest.parents.assign(v.rows, -1), forest.agreements.assign(v.rows, 1.f), forest.sizes.assign(v.rows, 1);
     forest.fits.assign(v.rows, 0.f), forest.spreads.assign(v.rows, 0.f), forest.masses.assign(v.rows, 0.f);
     for (uint32_t r = 0; r < v.rows; r++) {
       double mass = 0;
-      for (int64_t e = v.starts[r]; e < v.starts[r + 1]; e++) mass += v.weights[e];
+      for (int64_t e = v.begin(r); e < v.end(r); e++) mass += v.weights[e], mask_masses[v.columns[e]] += v.weights[e];
       forest.masses[r] = (float)mass;
     }
   }
@@ -121,14 +123,15 @@ struct Growing {
   }
 
   void add(const int32_t *members, size_t count, Summing &sums, std::vector<double> &sum, Part &part) {
-    sums.clear();
+    sums.ends.clear();
     for (size_t i = 0; i < count; i++)
       sums.add(all.entries_of(all.regions[members[i]]), (size_t)all.num_entries(all.regions[members[i]]));
     sums.merge();
     Region region{(int64_t)part.sights.size(), (int64_t)part.entries.size(), 0, all.regions[members[0]].place, 0};
-    for (const Summing::Sum &x : sums.runs) part.entries.push_back({x.column, (float)x.weight});
-    const Entry *entries = part.entries.data() + region.entries;
-    region.num_sights = add_sights(entries, sums.runs.size(), votes.views, part.sights);
+    part.entries.resize(part.entries.size() + sums.size());
+    Entry *entries = part.entries.data() + region.entries;
+    for (size_t e = 0; e < sums.size(); e++) entries[e] = {sums.runs[e].column, (float)sums.runs[e].weight};
+    region.num_sights = add_sights(entries, sums.size(), votes.views, part.sights);
     part.regions.push_back(region);
     const bool known = judged(members, count);
     part.fits.push_back(known ? (float)fit(part.sights.data() + region.sights, region.num_sights, entries) : 0.f);
@@ -194,15 +197,14 @@ struct Growing {
 
 }  // namespace
 
-Forest agglomerate(const Votes &votes, std::vector<Edge> edges, const std::vector<double> &thresholds,
+Forest agglomerate(const Votes &votes, const Edge *edges, size_t num_edges, const std::vector<double> &thresholds,
                    const MergeRule &rule, int threads) {
   Growing growing(votes, rule, threads);
   Regions &all = growing.all;
-  std::vector<Border> borders = first_borders(all, edges, rule.soft, threads);
-  std::vector<Edge>().swap(edges);
+  std::vector<Border> borders = first_borders(all, votes, edges, num_edges, rule.soft, threads);
   for (size_t t = 0; t < thresholds.size(); t++)
     for (int round = 0; round < rule.rounds && !borders.empty(); round++) {
-      score(all, borders, rule, votes.dim, all.count() == (int32_t)votes.rows, threads);
+      score(all, borders, rule, votes, thresholds[t], threads);
       const int32_t before = all.count();
       std::vector<int32_t> numbers((size_t)before);
       const int32_t count = joined(all, borders, growing.forest.masses, rule, thresholds[t], numbers);

@@ -1,12 +1,15 @@
 // Regions of Gaussians that the masks of the photos hold together: a forest of merges.
 #pragma once
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
 namespace drsplat {
 
-// W in CSR, columns ascending in each row. views: of each column, never falling. embeddings: columns x dim, unit.
+// W in CSR, columns ascending in each row; its rows in another order. views: of each column, from 0, never falling.
+// embeddings: columns x dim, unit.
 struct Votes {
+  const int64_t *order;
   const int64_t *starts;
   const int32_t *columns;
   const float *weights;
@@ -14,6 +17,10 @@ struct Votes {
   const int32_t *views;
   const float *embeddings;
   uint32_t dim;
+
+  int64_t begin(size_t row) const { return starts[order[row]]; }
+  int64_t end(size_t row) const { return starts[order[row] + 1]; }
+  size_t num_views() const { return masks ? (size_t)views[masks - 1] + 1 : 0; }
 };
 
 struct Edge { int32_t a, b; };
@@ -40,7 +47,7 @@ struct Forest {
 };
 
 // The same bits for any number of threads.
-Forest agglomerate(const Votes &, std::vector<Edge>, const std::vector<double> &thresholds, const MergeRule &,
-                   int threads);
+Forest agglomerate(const Votes &, const Edge *, size_t num_edges, const std::vector<double> &thresholds,
+                   const MergeRule &, int threads);
 
 }  // namespace drsplat

@@ -127,6 +127,26 @@ def test_brighter_weights_change_nothing(seed, factor):
     assert_array_equal(one.fits, other.fits)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_in_another_order_are_those_of_a_permuted_matrix(seed):
+    w, views, embeddings = votes(seed)
+    order = default_rng(seed).permutation(40)
+    there = agglomerate(w, views, embeddings, line(40), THRESHOLDS, RULE, order=order)
+    for found, expected in zip(
+        there, agglomerate(csr_array(w[order]), views, embeddings, line(40), THRESHOLDS, RULE), strict=True
+    ):
+        assert_array_equal(found, expected)
+    with refused("order"):
+        agglomerate(w, views, embeddings, line(40), THRESHOLDS, RULE, order=order + 1)
+
+
+def test_views_may_have_any_numbers():
+    w, views, embeddings = votes(1)
+    far = (views * 500_000_000 - 1_000_000_000).astype(np.int32)
+    one = agglomerate(w, views, embeddings, line(40), THRESHOLDS, RULE)
+    assert_array_equal(agglomerate(w, far, embeddings, line(40), THRESHOLDS, RULE).parents, one.parents)
+
+
 def test_nothing_to_merge():
     none = np.zeros((0, 2), np.int32)
     empty = agglomerate(csr_array((0, 3), dtype=np.float32), np.zeros(3, np.int32), np.eye(3, dtype=np.float32), none,

@@ -266,6 +266,7 @@ def merges(rogue: Rogue) -> Call:
     votes = rogue.spoiled(starts.astype(np.int64)), rogue.spoiled(columns), rogue.floats(starts[-1])
     edges = np.sort(rogue.rng.integers(0, max(n, 1), (rogue.count(0, 1, 500), 2)), axis=1).astype("i4")
     given = (
+        rogue.spoiled(rogue.rng.permutation(n)),
         *votes,
         np.arange(m, dtype="i4") // 7,
         rogue.floats(m, dim),

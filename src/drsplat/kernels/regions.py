@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Ids, Integer, Numbers, OtherEmbeddings, Sparse
+from ..base.arrays import Ids, Int64, Integer, Numbers, OtherEmbeddings, Sparse
 from .splats import native
 
 
@@ -61,18 +61,21 @@ def agglomerate(
     thresholds: tuple[float, ...],
     rule: MergeRule,
     *,
+    order: Int64[np.ndarray, " r"] | None = None,
     threads: int = 0,
 ) -> Forest:
     """Merge neighbours that are each other's best, as long as they agree by more than each threshold in turn.
 
     weights: W, (N, M), columns ascending in each row. views: of each mask, never falling. embeddings: unit, or of
-    fewer dimensions but with nearly the same cosines. edges: neighbours (a, b), a < b. Work and memory are linear in
+    fewer dimensions but with nearly the same cosines. edges: neighbours (a, b), a < b. order: the row of W of each row
+    of the forest and of the edges; None: the same. Work and memory are linear in
     weights and edges, times the few rounds; the same bits for any number of threads.
 
     Raises: InputError: arrays that are not so.
     Twin: tests/twins/regions.py::agglomerate.
     """
     given = (
+        np.arange(weights.shape[0]) if order is None else order,
         np.asarray(weights.indptr, np.int64), np.asarray(weights.indices, np.int32),
         np.asarray(weights.data, np.float32), np.asarray(views, np.int32), np.asarray(embeddings, np.float32),
         np.asarray(edges, np.int32).reshape(-1, 2), np.asarray(thresholds, np.float64),

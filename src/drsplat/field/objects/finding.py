@@ -220,7 +220,7 @@ def grow(evidence: Evidence, means: Places, *, threads: int = 0) -> Forest:
     total = float(weights.data.sum(dtype=np.float64))
     rule = _rule(total, _sights(weights, views), len(np.unique(views)), unit)
     edges = neighbours(means[order], threads)
-    forest = agglomerate(csr_array(weights[order]), views, embeddings, edges, MERGE_THRESHOLDS, rule, threads=threads)
+    forest = agglomerate(weights, views, embeddings, edges, MERGE_THRESHOLDS, rule, order=order, threads=threads)
     places = np.arange(len(forest.parents))
     places[order] = np.arange(len(order))
     return Forest(*(values[places] for values in forest))
