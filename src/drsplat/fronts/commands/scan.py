@@ -49,6 +49,7 @@ CPU_SIDE_PIXELS = 800  # longer side of photos that a CPU trains on
 DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
 SECONDS_PER_PHOTO = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
 """Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
+GRAPH, VOTE_SECONDS_PER_PHOTO = "graph", 0.4  # the built-in segmenter, whose pieces photos join
 SAM_SECONDS_PER_PHOTO = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
 DAILY = "output ask iterations segmenter encoder keep_people overwrite config"
 
@@ -238,12 +239,13 @@ def planned(options: Options, source: ScanInput, output: Path, before: Mapping[s
     nouns = [] if trained else choice.nouns_of(queries)  # a slip is worth more before an hour of training than after
     choice = choice.judged(source, options.threads)
     view = VerbLine(replace(line, overwrite=True, ask="; ".join(queries)), given | {"ask": queries})
+    vote = ["--vote"] if choice.segmenter == GRAPH else []  # pieces are what its masks are short of wholes
     stages = [
         *([] if has_poses else [_capturing(source, output / CAPTURE, [*common, *options.people])]),
         Stage("train", train, (output / MODEL,)),
         Stage("embed", embed, (output / FEATURES, parts_of(output / FEATURES))),
         Stage("register", register, (output / FIELD, output / f"{FIELD}.parts"), run=_registered),
-        Stage("objects", verb_line("objects", [str(output)], common), run=_counted),
+        Stage("objects", verb_line("objects", [str(output), *vote], common), run=_counted),
         Stage("view", view, (output / PAGE,), run=lambda line: answered(line, queries, encoder, common)),
     ]
     models = {"asked": named, **asdict(choice)}
@@ -332,7 +334,9 @@ def _expected(stages: Sequence[Stage], num_photos: int, choice: ModelChoice) -> 
     train = next(stage.line.options for stage in stages if stage.verb == "train")
     expected = {verb: seconds * num_photos for verb, seconds in SECONDS_PER_PHOTO.items()}
     expected |= {"train": SECONDS_PER_PHOTO["train"] * train.planned_iterations, "objects": 4.0, "view": 6.0}
-    if choice.segmenter != "graph":
+    if choice.segmenter == GRAPH:
+        expected["objects"] += VOTE_SECONDS_PER_PHOTO * num_photos
+    else:
         expected["embed"] = num_photos * SAM_SECONDS_PER_PHOTO["cpu"]
     return {stage.verb: expected[stage.verb] for stage in stages}
 
