@@ -253,13 +253,14 @@ def write_scene(path: AnyPath, scene: LabelledScene, overwrite: bool = False, *,
     finite, one that the format cannot hold, or `path` exists and not `overwrite`.
     """
     path = Path(path)
+    kind = format_of(path, spz_version)
     writer_of(path)  # or the error that says what can be written
     # check a scene. Raises: InputError: what `refuse_unwritable` refuses, or relevancies that are not finite.
     refuse_unwritable(scene.gaussians)
     if scene.relevancy is not None and not np.isfinite(scene.relevancy).all():
         row = int(np.flatnonzero(~np.isfinite(scene.relevancy))[0])
         raise InputError(f"relevancies: expected finite numbers, got {scene.relevancy[row]} in row {row}: ask anew")
-    WRITERS[format_of(path, spz_version)](path, scene, overwrite)
+    WRITERS[kind](path, scene, overwrite)
 
 
 def writer_of(path: Path) -> Writer:

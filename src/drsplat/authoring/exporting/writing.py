@@ -78,7 +78,7 @@ def labelled(
 
     Raises: InputError: nothing is left, a scene that moves without a time, no Gaussians; as `Scene.ask`.
     """
-    standing = _standing(scene, time)
+    standing, views = _standing(scene, time), _views(scene) if photos else ()
     found = None if query is None else _matches_of(standing, query, words)
     columns = _columns(standing, found, _chosen(standing, only, found))
     own = replace(standing.gaussians, extra={**standing.gaussians.extra, **columns})
@@ -86,13 +86,13 @@ def labelled(
     after = after_edits(own, scene.path, listed)
     kept = _kept_rows(after)
     placing = Placing(scene.gaussians, after, scene.up)
-    things = placing.objects(things_of(scene, embeddings))
+    things, groups = placing.objects(things_of(scene, embeddings)), groups_of(scene)
     owners = after.everything.extra[OBJECT_ID][kept] if OBJECT_ID in columns else None
     whole_scene = LabelledScene(
         _without(_rows(after.everything, kept), columns),
         written_name(scene.name),
         tuple(things),
-        groups_of(scene),
+        groups,
         None if owners is None else rows_of(things, owners),
         "" if found is None else found.words,
         None if found is None else after.everything.extra[RELEVANCY][kept],
@@ -101,7 +101,7 @@ def labelled(
         _up_of(scene),
         scene.field.encoder.name if embeddings else "",
         listed.done,
-        _views(scene) if photos else (),
+        views,
     )
     return whole_scene if only is None else only_used(whole_scene)
 
@@ -299,8 +299,7 @@ def export(
     Raises: InputError: a suffix that nothing is written as, more than the format can hold, `path` exists and not
     `overwrite`; as `labelled`.
     """
-    motion = whole_motion(Path(path), scene.motion if isinstance(scene, Scene) else scene, time)
-    time = time if motion is None else motion.span[0]
+    motion, time = whole_motion(Path(path), scene.motion if isinstance(scene, Scene) else scene, time)
     if isinstance(scene, Scene):
         carried = labelled(scene, query, only=only, time=time, edits=edits, embeddings=embeddings, photos=photos)
     elif query is not None or only is not None:
@@ -311,10 +310,11 @@ def export(
     return written(Path(path), for_8_bits(carried) if fit_8bit else carried, overwrite, spz_version)
 
 
-def whole_motion(path: Path, scene: object, time: float | None) -> Moving | None:
-    """Return the scene where all of its motion is written, which a recording of rerun holds; None elsewhere."""
-    is_whole = time is None and isinstance(scene, Moving) and format_of(path) == ".rrd"
-    return scene if is_whole and isinstance(scene, Moving) else None
+def whole_motion(path: Path, scene: object, time: float | None) -> tuple[Moving | None, float | None]:
+    """Return the scene, and its first time, where a recording of rerun has all its motion; else None and the time."""
+    if time is None and isinstance(scene, Moving) and path.suffix.lower() == ".rrd":
+        return scene, scene.span[0]
+    return None, time
 
 
 def for_8_bits(scene: LabelledScene) -> LabelledScene:

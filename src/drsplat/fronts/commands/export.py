@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from ...errors import InputError
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
@@ -17,10 +18,13 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ...authoring.editing.edits import KeptEdits
-    from ...authoring.exporting.writing import Exported, Only
-    from ...formats.tiles3d_writing import TiledScene
-    from ...query import Scene
+    from ...authoring.exporting.writing import Exported
+    from ...formats.tiles import Tiles
+    from ...query import Query, Scene
+    from ...scene.gaussians import Gaussians
     from ...scene.labelled import LabelledScene
+    from ...scene.moving import Moving
+    from ...scene.views import View
     from .query_options import Asked
 
 EXAMPLES = """\
@@ -97,42 +101,37 @@ class Options(Verb):
         return only_one(self.asked, QUERIES)
 
 
+class _Given(NamedTuple):
+    """Inputs of an export, read of the options once.
+
+    named: the files that were named, the scene first. tiles: they are written as they are. views: photos of a scene
+    that has no field.
+    """
+
+    output: Path
+    named: list[Path]
+    tiles: Tiles | None
+    scene: Scene | None
+    query: Query | None
+    words: str
+    views: list[View]
+    time: float | None
+    content: Content
+    overwrite: bool
+
+
+class _Kind(NamedTuple):
+    """A kind of output. when: whether the options ask for it; the first that fits is written."""
+
+    name: str
+    when: Callable[[Options, _Given], bool]
+    writes: Callable[[_Given], Facts]
+
+
 def run(options: Options) -> Facts:
-    from ...authoring.exporting.writing import for_8_bits, written
-    from ...formats.streamed_sog import LOD_META
-
-    output, content = _output(options), options.content
-    if options.masks:
-        return _masks(options, output)
-    if (options.tiles3d or output.name == LOD_META) and (tiles := _whole_tiles(options)) is not None:
-        return _levels_of_tiles(options, output, tiles)
-    scene = _labelled(options, output)
-    if content.fit_8bit:
-        scene = for_8_bits(scene)
-    note_applied(scene.num_edits)
-    if options.tiles3d:
-        done = _tiles3d(options, output, scene)
-    else:
-        done = written(output, scene, options.overwrite, content.spz_version)
-    return _report(options, scene.query or None, scene.object_of, done)
-
-
-def _report(options: Options, query: str | None, owners: np.ndarray | None, done: Exported) -> Facts:
-    """Return what was written. owners: per Gaussian its object, -1 for none; None where there are no objects."""
-    return {
-        "scene": options.source,
-        "saved": options.output,
-        "format": done.format,
-        "bytes": done.bytes,
-        "query": query,
-        "num_gaussians": done.num_gaussians,
-        "num_objects": None if owners is None else done.num_objects,
-        "num_in_objects": None if owners is None else int((owners >= 0).sum()),
-        "num_matches": None if query is None else done.num_matches,
-        "num_annotations": done.num_annotations,
-        "num_edits": done.num_edits,
-        "lacks": list(done.lacks),
-    }
+    given = _given(options)
+    kind = next(kind for kind in KINDS if kind.when(options, given))
+    return {"scene": options.source, "saved": options.output, **kind.writes(given)}
 
 
 def show(answer: Facts) -> None:
@@ -158,8 +157,27 @@ def show(answer: Facts) -> None:
         )
 
 
+def _given(options: Options) -> _Given:
+    """Read what is written. Raises: InputError: options that do not go together; as what reads it."""
+    output, content = _output(options), options.content
+    part_of = only_one(options.asked, ("only", "object", "label"))
+    subject = options.subject
+    if part_of == "only" and subject is None:
+        raise InputError("only: what matches is that of a query: give --query WORDS")
+    named = [Path(path) for path in (options.source, options.scene, options.field) if path is not None]
+    tiles = None if part_of or subject else _whole_tiles(options, output, named)
+    if tiles is None:
+        field, scene = _field(options, subject)
+    else:  # the Gaussians of their field stay on the disk
+        field, scene = options.field or (options.scene and options.source), None
+    views = [] if tiles is not None or field is not None or options.masks else _views(options)
+    opened = None if field is None or (tiles is not None and not options.tiles3d) else open_with(options, field, scene)
+    query, words = (None, "") if subject is None else (query_of(options.asked), query_text(options.asked))
+    return _Given(output, named, tiles, opened, query, words, views, options.time, content, options.overwrite)
+
+
 def _output(options: Options) -> Path:
-    """Return the output. Raises: InputError: it cannot be written, or options that do not go together."""
+    """Return the output. Raises: InputError: it cannot be written."""
     from ...formats.known import writer_of
     from ...formats.streamed_sog import LOD_META
 
@@ -173,110 +191,169 @@ def _output(options: Options) -> Path:
             raise InputError(f"{error} A folder of 3D Tiles is written with tiles3d=True") from None
     if not place.parent.is_dir():
         raise InputError(f"there is no folder {place.parent} to write {place.name} into: make it first")
-    chosen = only_one(options.asked, ("only", "object", "label"))
-    if chosen == "only" and options.subject is None:
-        raise InputError("only: what matches is that of a query: give --query WORDS")
     return output
 
 
-def _masks(options: Options, folder: Path) -> Facts:
+def _whole_tiles(options: Options, output: Path, named: list[Path]) -> Tiles | None:
+    """Return the tiles that are written as they are; None for another scene, or an edited one."""
+    from ...authoring.editing import EditFile
+    from ...formats.streamed_sog import LOD_META
+    from ...formats.tiles import TILES, read_tiles
+
+    content, tiles = options.content, next((path for path in named if (path / TILES).is_file()), None)
+    is_in_levels = not options.masks and (options.tiles3d or output.name == LOD_META)
+    if tiles is None or not is_in_levels or content.embeddings or options.time is not None:
+        return None
+    if content.edits != "none" and EditFile.beside(tiles).num_done():
+        return None
+    if content.fit_8bit:
+        raise InputError("fit_8bit: the scene is cut into tiles, whose colours are written as they are")
+    return read_tiles(tiles)
+
+
+def _field(options: Options, subject: str | None) -> tuple[str | None, str | None]:
+    """Return the field, None where there is none, and its scene. Raises: InputError: options that need a field."""
+    from ...formats.scenes import Kind, recognised
+
+    source, content = Path(options.source), options.content
+    if recognised(source) is Kind.FIELD or (source.is_dir() and any(source.glob("*.field"))):
+        if options.field is not None:
+            raise InputError(f"{options.source} has a field already: drop --field, or name the scene's file")
+        return options.source, options.scene
+    if options.scene is not None:
+        raise InputError("--scene is the scene of a field: name the field first, or pass the scene and --field FIELD")
+    chosen = subject is not None or content.embeddings or (content.object, content.label) != (None, None)
+    if options.field is None and chosen:
+        raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
+    return options.field, options.source
+
+
+def _views(options: Options) -> list[View]:
+    """Return the photos that go along with a scene without a field. Raises: InputError: nobody names them."""
+    if not options.content.photos:
+        return []
+    if options.views is None:
+        raise InputError("photos: a scene without a field has none of its own: pass views=CAPTURE as well")
+    return options.photos.views(options.views)
+
+
+def _masks(given: _Given) -> Facts:
     """Write masks of the photos. Raises: InputError: as `write_masks`; a scene without a field."""
     from ...authoring.exporting.masking import write_masks
 
-    scene = _opened(options)
-    if scene is None:
+    if given.scene is None:
         raise InputError("masks are drawn of what a field knows: pass field=FIELD as well")
-    query = None if options.subject is None else query_of(options.asked)
-    done = write_masks(folder, scene, query, overwrite=options.overwrite)
-    return {"scene": options.source, "saved": options.output, "format": "masks", **done._asdict()}
+    done = write_masks(given.output, given.scene, given.query, overwrite=given.overwrite)
+    return {"format": "masks", **done._asdict()}
 
 
-def _tiles3d(options: Options, output: Path, source: LabelledScene | TiledScene) -> Exported:
+def _streamed(given: _Given) -> Facts:
+    """Write levels of detail of a folder of tiles, a few of which are in memory at a time."""
+    from ...authoring.exporting.writing import written_streamed_sog
+
+    assert given.tiles is not None
+    return _facts(written_streamed_sog(given.output, given.tiles, given.overwrite))
+
+
+def _tiles3d(given: _Given) -> Facts:
     """Write 3D Tiles, where the scene lies on the Earth if a georeference.json beside it says so."""
-    from ...authoring.exporting.writing import written_tiles3d
+    from ...authoring.exporting.writing import tiled, written_tiles3d
     from ...formats.georeference import read_georeference
 
-    named = [Path(path) for path in (options.source, options.scene, options.field) if path is not None]
-    folders = [path if path.is_dir() else path.parent for path in named] + [path.parent for path in named]
-    return written_tiles3d(output, source, read_georeference(*folders), options.overwrite)
+    folders = [path if path.is_dir() else path.parent for path in given.named] + [path.parent for path in given.named]
+    earth = read_georeference(*folders)
+    if given.tiles is not None:
+        source = tiled(given.tiles, given.scene)
+        return _facts(written_tiles3d(given.output, source, earth, given.overwrite), owners=source.object_of)
+    scene = _alone(given) if given.scene is None else _with_field(given, given.scene)
+    return _facts(written_tiles3d(given.output, scene, earth, given.overwrite), scene.query, scene.object_of)
 
 
-def _whole_tiles(options: Options) -> Path | None:
-    """Return the folder of tiles that is written as it is; None for another scene, a part of one, or an edited one."""
-    from ...authoring.editing import EditFile
-    from ...formats.tiles import TILES
-
-    named = [Path(path) for path in (options.source, options.scene) if path is not None]
-    tiles = next((path for path in named if (path / TILES).is_file()), None)
-    chosen = options.subject or only_one(options.asked, ("only", "object", "label"))
-    if tiles is None or chosen is not None or options.content.embeddings or options.time is not None:
-        return None
-    return tiles if options.content.edits == "none" or not EditFile.beside(tiles).num_done() else None
+def _lone_file(given: _Given) -> Facts:
+    """Write a scene that has no field."""
+    return _file(given, _alone(given))
 
 
-def _levels_of_tiles(options: Options, output: Path, path: Path) -> Facts:
-    """Write levels of detail of a folder of tiles, a few of which are in memory at a time; 3D Tiles with objects."""
-    from ...authoring.exporting.writing import tiled, written_streamed_sog
-    from ...formats.tiles import read_tiles
-
-    if options.content.fit_8bit:
-        raise InputError("fit_8bit: the scene is cut into tiles, whose colours are written as they are")
-    tiles = read_tiles(path)
-    if not options.tiles3d:
-        return _report(options, None, None, written_streamed_sog(output, tiles, options.overwrite))
-    field = options.field or (options.source if options.scene is not None else None)
-    scene = None if field is None else open_with(options, field, None)  # its Gaussians stay on the disk
-    source = tiled(tiles, scene)
-    return _report(options, None, source.object_of, _tiles3d(options, output, source))
+def _field_file(given: _Given) -> Facts:
+    """Write a scene, and what its field knows."""
+    assert given.scene is not None
+    return _file(given, _with_field(given, given.scene))
 
 
-def _labelled(options: Options, output: Path) -> LabelledScene:
-    """Bring together what is written; --edits none reports the edits that it leaves out."""
-    from ...authoring.editing import EditFile
-    from ...authoring.editing.resolving import label_rows, object_rows
-    from ...authoring.exporting.writing import labelled, labelled_alone, whole_motion
+def _file(given: _Given, scene: LabelledScene) -> Facts:
+    from ...authoring.exporting.writing import written
+
+    done = written(given.output, scene, given.overwrite, given.content.spz_version)
+    return _facts(done, scene.query, scene.object_of)
+
+
+def _alone(given: _Given) -> LabelledScene:
+    from ...authoring.exporting.writing import labelled_alone, whole_motion
     from ...formats.moving_scenes import read_scene
-    from ...scene.moving import canonical_of
 
-    scene, source, content = _opened(options), Path(options.source), options.content
-    query = None if options.subject is None else query_of(options.asked)
-    read = read_scene(source) if scene is None else scene.motion or scene.gaussians
-    path, edits = source if scene is None else scene.path, content.edits or "kept"
-    if edits == "none" and path is not None:
-        note_left_out(EditFile.beside(path).num_done(canonical_of(read)))
-    motion = whole_motion(output, read, options.time)
-    time = options.time if motion is None else motion.span[0]
-    if scene is None:
-        if content.photos and options.views is None:
-            raise InputError("photos: a scene without a field has none of its own: pass views=CAPTURE as well")
-        views = options.photos.views(options.views) if content.photos and options.views else []
-        return replace(labelled_alone(read, path, time=time, edits=edits), views=tuple(views), motion=motion)
+    path, edits = given.named[0], given.content.edits or "kept"
+    read = read_scene(path)
+    _note_edits(given, path, read)
+    motion, time = whole_motion(given.output, read, given.time)
+    scene = labelled_alone(read, path, time=time, edits=edits)
+    return _finished(given, replace(scene, views=tuple(given.views), motion=motion))
+
+
+def _with_field(given: _Given, scene: Scene) -> LabelledScene:
+    from ...authoring.editing.resolving import label_rows, object_rows
+    from ...authoring.exporting.writing import Only, labelled, whole_motion
+
+    content, read = given.content, scene.motion or scene.gaussians
+    _note_edits(given, scene.path, read)
     only: Only = "matches" if content.only else None
     if content.object is not None:
         only = object_rows(scene, content.object)
     elif content.label is not None:
         only = label_rows(scene, content.label)
+    motion, time = whole_motion(given.output, read, given.time)
     carried = labelled(
-        scene, query, only=only, time=time, edits=edits, embeddings=content.embeddings, photos=content.photos,
-        words="" if query is None else query_text(options.asked),
+        scene, given.query, only=only, time=time, edits=content.edits or "kept", embeddings=content.embeddings,
+        photos=content.photos, words=given.words,
     )  # fmt: skip
-    return replace(carried, motion=motion)
+    return _finished(given, replace(carried, motion=motion))
 
 
-def _opened(options: Options) -> Scene | None:
-    """Return the scene with its field, None for one that has none. Raises: InputError: options that need a field."""
-    from ...formats.scenes import Kind, recognised
+def _note_edits(given: _Given, path: Path | None, read: Gaussians | Moving) -> None:
+    """Report the edits that --edits none leaves out."""
+    from ...authoring.editing import EditFile
+    from ...scene.moving import canonical_of
 
-    source = Path(options.source)
-    if recognised(source) is Kind.FIELD or (source.is_dir() and any(source.glob("*.field"))):
-        if options.field is not None:
-            raise InputError(f"{options.source} has a field already: drop --field, or name the scene's file")
-        return open_with(options, options.source, options.scene)
-    if options.scene is not None:
-        raise InputError("--scene is the scene of a field: name the field first, or pass the scene and --field FIELD")
-    if options.field is not None:
-        return open_with(options, options.field, options.source)
-    content = options.content
-    if options.subject or content.embeddings or (content.object, content.label) != (None, None):
-        raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
-    return None
+    if given.content.edits == "none" and path is not None:
+        note_left_out(EditFile.beside(path).num_done(canonical_of(read)))
+
+
+def _finished(given: _Given, scene: LabelledScene) -> LabelledScene:
+    from ...authoring.exporting.writing import for_8_bits
+
+    note_applied(scene.num_edits)
+    return for_8_bits(scene) if given.content.fit_8bit else scene
+
+
+def _facts(done: Exported, query: str = "", owners: np.ndarray | None = None) -> Facts:
+    """Return what was written. owners: per Gaussian its object, -1 for none; None where there are no objects."""
+    return {
+        "format": done.format,
+        "bytes": done.bytes,
+        "query": query or None,
+        "num_gaussians": done.num_gaussians,
+        "num_objects": None if owners is None else done.num_objects,
+        "num_in_objects": None if owners is None else int((owners >= 0).sum()),
+        "num_matches": done.num_matches if query else None,
+        "num_annotations": done.num_annotations,
+        "num_edits": done.num_edits,
+        "lacks": list(done.lacks),
+    }
+
+
+KINDS = (
+    _Kind("masks", lambda options, _: options.masks, _masks),
+    _Kind("3D Tiles", lambda options, _: options.tiles3d, _tiles3d),
+    _Kind("levels of tiles", lambda _, given: given.tiles is not None, _streamed),
+    _Kind("scene without a field", lambda _, given: given.scene is None, _lone_file),
+    _Kind("scene with its field", lambda _, given: True, _field_file),
+)
