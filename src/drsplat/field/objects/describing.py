@@ -10,6 +10,7 @@ at once: one mean of a mug's front and back fits neither as well as two do.
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -73,8 +74,10 @@ def describe(
     }  # fmt: skip
     describing = Describing(work.hold(scene), rows.columns, field.up, gaussians.origin)
     found = [one.arrays for one in work(describing, _runs(counts, ROWS_AT_ONCE, NODES_AT_ONCE), "describing objects")]
-    told = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
-    starts = {name: np.append(0, np.cumsum(told.pop(name))) for name in ("mask_starts", "descriptor_starts")}
+    told: dict[str, Any] = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+    starts: dict[str, Any] = {
+        name: np.append(0, np.cumsum(told.pop(name))) for name in ("mask_starts", "descriptor_starts")
+    }
     masses = _masses(field, gaussians, inside, tree.node_of)
     return Objects(**tree._asdict(), masses=masses, **told, **starts)
 
