@@ -75,11 +75,11 @@ def unit(vector: np.ndarray) -> np.ndarray:
     return vector / max(np.linalg.norm(vector), 1e-300)
 
 
-def slow_inliers(evidence: Evidence, row: int, deviations: float, least: float) -> set[int]:
-    """Which votes stay."""
+def slow_margins(evidence: Evidence, row: int, deviations: float, least: float) -> np.ndarray:
+    """How far above the limit each vote is: those below 0 go."""
     cast = votes(evidence, row)
     if len(cast) < 3:
-        return set(range(len(cast)))
+        return np.ones(len(cast))
 
     def weighted_median(values: list[float]) -> float:
         held, half = 0.0, sum(w for w, _ in cast) / 2
@@ -95,7 +95,7 @@ def slow_inliers(evidence: Evidence, row: int, deviations: float, least: float) 
         agree.append(float(f @ unit(np.asarray(rest))))
     middle = weighted_median(agree)
     spread = 1.4826 * weighted_median([abs(a - middle) for a in agree])
-    return {i for i, a in enumerate(agree) if a >= middle - max(least, deviations * spread)}
+    return np.array(agree) - (middle - max(least, deviations * spread))
 
 
 @pytest.mark.slow
@@ -106,10 +106,11 @@ def test_the_inliers_are_those_of_the_twin(seed, limits):
     kept = OutlierRejection(*limits)(evidence, 1).weights
     dropped = 0
     for row in range(len(evidence)):
-        before = evidence.weights[[row]].indices
-        stay = slow_inliers(evidence, row, *limits)
-        assert set(kept[[row]].indices) == {before[i] for i in stay}
-        dropped += len(before) - len(stay)
+        stays = np.isin(evidence.weights[[row]].indices, kept[[row]].indices)
+        margins = slow_margins(evidence, row, *limits)
+        clear = np.abs(margins) > 1e-3  # what agrees with one heavy vote alone is a small difference of float32 sums
+        assert_array_equal(stays[clear], margins[clear] > 0)
+        dropped += np.count_nonzero(~stays)
     assert dropped > 10  # or the test shows nothing
 
 
