@@ -405,7 +405,7 @@ def test_edits_of_another_scene_are_refused(scene, tmp_path):
     ("document", "said"),
     [
         ("[]", "expected 'drsplat edits'"),
-        ('{"format": "drsplat edits", "version": 2}', "version 2; this drsplat reads 1"),
+        ('{"format": "drsplat edits", "version": 2}', "expected 'drsplat edits' of version 1, got 2"),
         ('{"format": "drsplat edits", "version": 1, "scene": "a", "edits": {}}', "a list of up to"),
         ('{"format": "drsplat edits", "version": 1, "scene": "a", "edits": [], "done": 1}', "1 of 0 done"),
         ('{"format": "drsplat edits", "version": 1, "scene": "a", "edits": [], "doen": 1}', "'doen' is not known"),
