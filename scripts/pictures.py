@@ -93,16 +93,14 @@ MADE: dict[str, Made] = {
     ),
     "worst_answers.jpg": Made("study_worst.py at 4a01ca08, three of its pictures", (ROOT / "docs" / "answers.json",)),
     "worst_ten.jpg": Made(
-        "study_worst.py --records FILE at 4a01ca08, eight of its pictures",
-        (ROOT / "benchmarks" / "suite" / "rules.py",),
+        "study_worst.py --records FILE at 4a01ca08, eight of its pictures", (ROOT / "docs" / "answers.json",)
     ),
     "worst_names.jpg": Made(
-        "python benchmarks/study_eyes.py PLACE=FIELD... --kept FOLDER --worst docs/images/worst_names.jpg",
-        tuple(ROOT / "benchmarks" / name for name in ("suite/looking.py", "suite/real_eyes.py")),
+        "study_eyes.py PLACE=FIELD... --kept FOLDER --worst docs/images/worst_names.jpg at 5f81d639",
+        (MODELS / "graph" / "network.safetensors", MODELS / "graph" / "rule.safetensors"),
     ),
     "refusal.svg": Made(
-        "python benchmarks/study_rules.py --curve docs/images/refusal.svg",
-        tuple(ROOT / "benchmarks" / name for name in ("study_rules.py", "suite/rules.py", "suite/chart.py")),
+        "study_rules.py --curve docs/images/refusal.svg at 5f81d639", (ROOT / "docs" / "answers.json",)
     ),
 }
 
