@@ -13,13 +13,10 @@ from test_catalogue import WORDS
 from catalogued import boxes_of, write_scene
 from command_line import error_of
 from drsplat import read_gaussians
-from live_clients import Browser, Viewer, a_viewer
-from live_clients import error_of as refusal_of
-
-pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
-
 from drsplat.fronts.viewing.live.shared import Shelf
 from drsplat.query.catalogue import Catalogue
+from live_clients import Browser, Viewer, a_viewer
+from live_clients import error_of as refusal_of
 
 
 @pytest.fixture(scope="module")

@@ -14,11 +14,17 @@ FORMAT_KINDS = {
     "drsplat annotations": "annotations",
     "drsplat-path": "camera path",
 }
-FOLDER_KINDS = {"field.json": "field", "tiles.json": "tiles", "lod-meta.json": "scene", "tileset.json": "scene"}
+FOLDER_KINDS = {
+    "field.json": "field",
+    "tiles.json": "tiles",
+    "catalogue.json": "catalogue",
+    "lod-meta.json": "scene",
+    "tileset.json": "scene",
+}
 MANIFEST_KINDS = {
     "field.json": "field",
     "tiles.json": "tiles",
-    "checksums.json": "catalogue",
+    "catalogue.json": "catalogue",
     "embedding.json": "features",
 }
 
@@ -38,8 +44,6 @@ def kind_of(path: Path) -> str:
     for manifest, kind in FOLDER_KINDS.items():
         if (path / manifest).is_file():
             return kind
-    if (path / "objects.lance").is_dir():
-        return "catalogue"
     if (path / "meta.json").is_file() and _json_kind(path / "meta.json") == "scene":
         return "scene"
     if _has_field(path):
@@ -140,8 +144,7 @@ def _tiles(path: Path) -> Verified:
 def _catalogue(path: Path) -> Verified:
     from ...query.catalogue import Catalogue
 
-    names = Catalogue.open(path).verify()
-    return Verified(names, "all files" if names else "opened: it has no checksums before the next add or remove")
+    return Verified(Catalogue.open(path).verify(), "all files")
 
 
 def _scene(path: Path) -> Verified:
