@@ -48,10 +48,10 @@ def test_it_answers_as_the_scene_does(scene, sketch, query):
     assert set(np.flatnonzero(sketched(scene, sketch).answers(query))) == own
 
 
-@pytest.mark.parametrize("text", ["sofa", "green table", "wooden plant"])
+@pytest.mark.parametrize("text", ["sofa", "lamp"])
 def test_a_text_that_another_of_a_list_fits_nearly_as_well_is_not_answered(scene, sketch, text):
     """The rival is named of rows of the scene, of which a sketch has few vectors."""
-    texts = ["red mug", "sofa", "table", "green table", "plant", "wooden plant"]
+    texts = ["red mug", "red bowl", "sofa", "lamp", "door"]
     encoder = VocabularyEncoder(WordEncoder.identity, texts, WordEncoder().encode_texts(texts))
     assert not SketchedScene(sketch, scene.field.encoder, lambda: encoder).answers(Query(text)).any()
 
