@@ -13,12 +13,9 @@ from test_catalogue import WORDS
 from catalogued import boxes_of, write_scene
 from command_line import error_of
 from drsplat import read_gaussians
+from drsplat.query.catalogue import Catalogue
 from live_clients import Browser, Viewer, a_viewer
 from live_clients import error_of as refusal_of
-
-pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
-
-from drsplat.query.catalogue import Catalogue
 
 
 @pytest.fixture(scope="module")
