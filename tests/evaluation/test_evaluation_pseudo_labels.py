@@ -94,7 +94,6 @@ def test_threads_and_blocks_change_nothing(monkeypatch):
     gaussians, points = random_gaussians(3000, 5), random_points(20_000, 9)
     expected = density_labels(gaussians, points, threads=1)
     assert len(np.unique(expected)) > 5
-    monkeypatch.setattr(module, "BLOCK_SOURCES", 100)
     monkeypatch.setattr(module, "MAX_PAIRS", 5000)
     assert_array_equal(density_labels(gaussians, points, threads=3), expected)
 

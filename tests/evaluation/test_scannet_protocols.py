@@ -14,7 +14,7 @@ from test_evaluation_pseudo_labels import random_points
 from test_metrics import weighted_iou
 
 from drsplat.errors import MismatchError
-from drsplat.evaluation import scannet_points, scannet_volume, scorers, voxel
+from drsplat.evaluation import pseudo_labels, scannet_points, scannet_volume, scorers, voxel
 from drsplat.evaluation.predictions import AUTOMATIC, FIXED, Manifest, best_sweep, sweep_weighted_ious
 from drsplat.evaluation.scannet import LabelSet, ScannetScene, read_nyu40_scene, read_raw_category_scene, scores_path
 from drsplat.evaluation.scorers import Scorer
@@ -316,7 +316,7 @@ def test_voxels_are_the_twins(seed, side):
     labels = default_rng(seed).integers(0, 4, 80).astype(np.int32)
     grid = voxel.grid_over(gaussians.means, side)
     (got,) = voxel.voxel_labels(gaussians, [labels], 4, grid)
-    scores = reference.voxel_scores(gaussians, labels, grid.centers, 4, voxel.CUT_OFF_SIGMAS)
+    scores = reference.voxel_scores(gaussians, labels, grid.centers(), 4, voxel.CUT_OFF_SIGMAS)
     expected = np.where(scores.sum(1) * side**3 > voxel.MIN_MASS, scores.argmax(1), -1)
     first, second = -np.sort(-scores, axis=1)[:, :2].T
     mass = scores.sum(1) * side**3
@@ -333,7 +333,7 @@ def test_voxels_do_not_depend_on_threads_or_slabs(monkeypatch):
     grid = voxel.grid_over(gaussians.means, 0.1)
     expected = voxel.voxel_labels(gaussians, [labels, 3 - labels], 4, grid, threads=1)
     monkeypatch.setattr(voxel, "SLAB_SCORES", 20_000)
-    monkeypatch.setattr(voxel, "MAX_PAIRS", 3000)
+    monkeypatch.setattr(pseudo_labels, "MAX_PAIRS", 3000)
     for one, other in zip(
         expected, voxel.voxel_labels(gaussians, [labels, 3 - labels], 4, grid, threads=3), strict=True
     ):
