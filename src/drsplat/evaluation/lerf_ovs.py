@@ -287,7 +287,7 @@ def _judged(scene: LerfScene, folder: Path, columns: Sequence[str]) -> list[Docu
             "category": category,
             "iou": {column: _iou(place(column=column), truth) for column in columns},
             "seen": {column: seen.get(column, float("nan")) for column in columns},
-            "localized": at is not None and scorers.in_any_box(*at, frame.boxes[category]),
+            "localized": at is not None and scorers.in_any_box(at[0], at[1], frame.boxes[category]),
         })  # fmt: skip
     return rows
 
