@@ -97,6 +97,22 @@ def test_nothing_found_is_an_answer_and_crumbs_are_left_out():
     assert len(locate(Answer.of(field, few, 0.5), scene, min_gaussians=3, link_distance=10.0)) == 1
 
 
+def test_locate_moves_with_the_scene():
+    turn, shift = Rotation.from_euler("xyz", [10, 80, -30], degrees=True), np.array([5.0, -2, 1])
+    scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
+    points = (turn.apply(scene.means) + shift).astype(np.float32)
+    moved = Gaussians(points, scene.quats, scene.scales, scene.opacities, scene.sh)
+
+    def of(gaussians):
+        field = field_of(gaussians, labels)
+        return Answer.of(field, field.scores(unit(0)), 0.5)
+
+    a = locate(of(scene), scene)[0]
+    b = locate(of(moved), moved)[0]
+    assert_allclose(b.center, turn.apply(a.center) + shift, atol=1e-3)
+    assert_allclose(b.extent, a.extent, atol=1e-3)
+
+
 def test_another_scene_is_refused():
     scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
     field = field_of(scene, labels)
