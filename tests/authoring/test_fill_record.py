@@ -104,7 +104,7 @@ def test_the_viewer_keeps_the_record(tmp_path):
     path = tmp_path / "scene.ply"
     write_gaussians(path, scene, scene.extra)
     owned = read_gaussians(path)
-    edits, alone = Edits.of(open_bare(path)), Edits.of(open_bare(path), kept=False)
+    edits, alone = Edits(open_bare(path)), Edits(open_bare(path), kept=False)
     for edit in removed_and_filled(block):
         edits.add(edit)
         alone.add(edit)
@@ -115,7 +115,7 @@ def test_the_viewer_keeps_the_record(tmp_path):
     edits.redo()
     assert same(edits.part(None)[0], made)
     write_gaussians(path, bare(owned), overwrite=True)
-    again = Edits.of(open_bare(path))
+    again = Edits(open_bare(path))
     assert same(again.part(None)[0], made)
     again.stand(replace(owned, means=owned.means + np.float32(0.25)))
     assert_allclose(again.part(None)[0].means, made.means + np.float32(0.25), atol=1e-6)
