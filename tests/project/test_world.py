@@ -295,7 +295,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Room, list[
     points = scan.from_depth(shots, 600, rng)
     layouts.write_truth(folder, made, shots, {"seed": 1})
     layouts.write_lerf(folder / "lerf_ovs", "s", made, shots, points)
-    layouts.write_scannet(folder / "scannet", "s", made, shots, points)
+    layouts.write_scannet(folder / "scannet", "s", made, points)
     return folder, made, shots
 
 
@@ -334,13 +334,8 @@ def test_label_polygons_are_the_ids(written):
 
 
 def test_the_scannet_layout_reads_back(written):
-    folder, made, shots = written
+    folder, made, _ = written
     place = folder / "scannet" / "s"
-    train, test = (ds.read_views(place / f"transforms_{part}.json") for part in ("train", "test"))
-    assert len(train) + len(test) == len(shots)
-    poses = {f"color/{s.view.name}": s.view.cam_from_world for s in shots}
-    for view in train + test:
-        assert_allclose(view.cam_from_world, poses[view.name], atol=1e-12)
     header, _, body = (place / "s_vh_clean_2.labels.ply").read_bytes().partition(b"end_header\n")
     assert b"property ushort label\n" in header
     row = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4), ("label", "<u2")])
