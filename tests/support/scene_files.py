@@ -13,7 +13,7 @@ from PIL import Image
 from drsplat.scene.gaussians import Gaussians
 
 C0 = 0.5 / np.sqrt(np.pi)
-PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint", "i2": "short"}
+PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint", "i2": "short", "u2": "ushort"}
 
 
 def random_gaussians(rng: np.random.Generator, n: int = 24, degree: int = 3) -> Gaussians:

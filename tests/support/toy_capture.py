@@ -11,6 +11,8 @@ import numpy as np
 from PIL import Image
 
 import drsplat as ds
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.poses import write_cameras_json
@@ -82,4 +84,23 @@ def write_toy_capture(folder: Path) -> Path:
     texts = [*THINGS, *NEGATIVES]
     vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))
     (folder / "clip_texts.json").write_text(json.dumps(vectors))
+    return folder
+
+
+def balls_field(folder: Path, gaussians: ds.Gaussians | None = None) -> ds.LanguageField:
+    """The field of a toy capture, of its own scene unless others are given; both balls are objects."""
+    scene = ds.read_gaussians(folder / "scene.ply") if gaussians is None else gaussians
+    features = ds.read_features(folder / "capture/language_features", encoder=ds.WordEncoder.identity)
+    field = ds.register(scene, ds.read_views(folder / "capture"), features).to_field()
+    rows = scene.extra.get("source_row", np.arange(len(scene)))[field.gaussian_ids]
+    ball_of, ones = (rows // PER_THING).astype(np.int32), np.ones(2)
+    tree = Tree(ball_of, np.full(2, -1, np.int32), ones.astype(np.uint8), ones.astype(np.float32))
+    return field.with_objects(describe(field, scene, tree))
+
+
+def write_balls(folder: Path) -> Path:
+    """A room to edit: scene.ply, room.field, which knows both balls as objects, and capture/ in a folder."""
+    write_toy_capture(folder)
+    (folder / "points.ply").unlink()  # it has the same places: another scene beside the field
+    balls_field(folder).save(folder / "room.field")
     return folder
