@@ -7,15 +7,13 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 from scripts.made_tables import TABLES
 
 import drsplat as ds
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.formats.known import FORMATS
 from drsplat.formats.tensors import map_tensors
+from fields import with_flat_objects
 from toy_capture import NEGATIVES, PER_THING, write_toy_capture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -160,9 +158,7 @@ def field_folder(capture, tmp_path_factory) -> Path:
     gaussians = ds.read_gaussians(capture / "scene.ply")
     field = ds.register(gaussians, views, features).to_field()
     field = replace(field, growth=ds.register(gaussians, views, features).to_field(ds.Mixture()).growth)
-    node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
-    roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
-    field = field.with_objects(describe(field, gaussians, Tree(node_of, roots, things, np.ones(2, np.float32))))
+    field = with_flat_objects(field, gaussians, field.gaussian_ids // PER_THING)
     texts, vectors = tuple(NEGATIVES), encoder.encode_texts(NEGATIVES)
     field.with_negatives(vectors, texts).with_contrast(vectors, texts).save(folder)
     return folder
