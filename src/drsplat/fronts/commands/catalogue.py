@@ -1,4 +1,4 @@
-"""drsplat catalogue: the objects of many scenes in one table, asked in words."""
+"""drsplat catalogue: the objects of many scenes in one folder, asked in words."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ EXAMPLES = """\
   drsplat catalogue index flats.catalogue
 
 A scene is a folder as for `drsplat serve`, with objects (`drsplat objects` finds them), or a field alone; adding it
-again replaces its entries. Needs LanceDB: `drsplat doctor` says how to install it. `index` makes searches over more
-than 100,000 objects fast."""
+again replaces its entries. `index` makes searches over more than 100,000 objects fast."""
 DAILY = "name top exclude scene picture encoder"
 ACTIONS = ("add", "remove", "list", "ask", "index")
 MAX_MATCHES = 1000

@@ -27,12 +27,11 @@ PACKAGES = {
     "timm": "open-clip, EdgeTAM", "open_clip_torch": "open-clip",
     "cupy-cuda12x": "cuda", "cupy-cuda13x": "cuda13", "fastapi": "viewer, serve", "uvicorn": "viewer, serve",
     "prometheus-client": "viewer, serve, mcp", "mcp": "mcp", "faiss-cpu": "not needed",
-    "lancedb": "catalogue", "pyarrow": "catalogue", "pycolmap": "capture", "pi-heif": "capture", "av": "capture",
+    "pycolmap": "capture", "pi-heif": "capture", "av": "capture",
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {
     "pose photos and videos (drsplat capture)": ("capture", ("pycolmap", "pi_heif", "av")),
-    "search many scenes at once (drsplat catalogue)": ("catalogue", ("lancedb", "pyarrow")),
     "show and search scenes in a browser (drsplat view)": ("viewer", ("fastapi", "uvicorn", "prometheus_client")),
     "serve scenes over HTTP (drsplat serve)": ("serve", ("fastapi", "uvicorn", "prometheus_client")),
     "scenes for language models (drsplat mcp)": ("mcp", ("mcp", "prometheus_client")),

@@ -282,7 +282,7 @@ class _Work:
         target = self.target()
         for name, value in changes:
             draft = self.draft(edits)
-            made = self._made(name, value, draft.part(target.ids(draft)))
+            made = self._made(name, value, draft.rows.subset(target.ids(draft)))
             edits = recorded(self.gaussians, edits.with_edit(Edit(target, made)), self.file.other)
         return edits
 
@@ -362,7 +362,7 @@ class _Work:
         else:
             parts = [self.target().ids(draft)]
         up = None if self.posed is None else self.posed.up
-        wholes = [draft.part(ids) for ids in parts]
+        wholes = [draft.rows.subset(ids) for ids in parts]
         boxes = [box_of(part, solid(part, np.arange(len(part))), up) for part in wholes]
         return (
             *known,

@@ -181,11 +181,12 @@ class Options(Verb):
 
         Raises: InputError: the features that are there are of better ones.
         """
-        from ...formats.embedding_record import last_settings
+        from ...formats.embedding_record import read_record
         from ..scanning.choosing import choose_models
 
         models = choose_models(self.segmenter or (AUTO if self.masks is None else ""), self.encoder, self.device)
-        made_by = (last_settings(self.folder) or {}).get("encoder")
+        record = read_record(self.folder)
+        made_by = None if record is None else record.settings.get("encoder")
         known = made_by.get("name") if isinstance(made_by, dict) else models.encoder
         if models.reason and self.encoder == AUTO and known != models.encoder and not self.overwrite:
             raise InputError(

@@ -12,11 +12,17 @@ FORMAT_KINDS = {
     "drsplat annotations": "annotations",
     "drsplat-path": "camera path",
 }
-FOLDER_KINDS = {"field.json": "field", "tiles.json": "tiles", "lod-meta.json": "scene", "tileset.json": "scene"}
+FOLDER_KINDS = {
+    "field.json": "field",
+    "tiles.json": "tiles",
+    "catalogue.json": "catalogue",
+    "lod-meta.json": "scene",
+    "tileset.json": "scene",
+}
 MANIFEST_KINDS = {
     "field.json": "field",
     "tiles.json": "tiles",
-    "checksums.json": "catalogue",
+    "catalogue.json": "catalogue",
     "embedding.json": "features",
 }
 
@@ -37,8 +43,6 @@ def kind_of(path: Path) -> str:
     for manifest, kind in FOLDER_KINDS.items():
         if (path / manifest).is_file():
             return kind
-    if (path / "objects.lance").is_dir():
-        return "catalogue"
     if (path / "meta.json").is_file() and _json_kind(path / "meta.json") == "scene":
         return "scene"
     with suppress(InputError):  # of a folder that `drsplat view` and `drsplat serve` would not take
@@ -122,8 +126,7 @@ def _tiles(path: Path) -> Verified:
 def _catalogue(path: Path) -> Verified:
     from ...query.catalogue import Catalogue
 
-    names = Catalogue.open(path).verify()
-    return names, "all files" if names else "opened: it has no checksums before the next add or remove"
+    return Catalogue.open(path).verify(), "all files"
 
 
 def _scene(path: Path) -> Verified:

@@ -135,7 +135,7 @@ def _serve(options: Options) -> NoReturn:
     """Open a scene, or a catalogue of many, to browsers. Raises: InputError: nothing can listen there."""
     require_packages("viewer", "fastapi", "uvicorn", "prometheus_client")
     from ..viewing.live.service import Service, listening_socket
-    from ..viewing.live.shared import Shared, Shelf
+    from ..viewing.live.shared import Shared
     from ..viewing.saving import Saves
     from ..viewing.tiled import session_of
 
@@ -152,7 +152,7 @@ def _serve(options: Options) -> NoReturn:
         numbers = {"num_objects": len(catalogue)}
         said = f"{counted(len(catalogue), 'object')} to search."
     saves = Saves(None if options.save_dir is None else Path(options.save_dir))
-    shared = Shared(saves, opened, most, shelf=None if catalogue is None else Shelf(catalogue))
+    shared = Shared(saves, opened, most, catalogue=catalogue)
     with listening_socket(options.host, options.port) as listening:
         service = Service(shared, listening, options.host)
         if catalogue is None:
