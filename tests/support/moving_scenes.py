@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from drsplat import Mixture, Scene, View, ViewFeatures, WordEncoder, register
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.moving import Frames, Moving
+from fields import with_flat_objects
 from scenes import look_at_view, random_gaussians
 from written_captures import model_of, transforms_document, write_json, write_photo
 
@@ -92,9 +91,7 @@ def passing_scene(objects: bool = False) -> Scene:
     features = label_masks(moving, views, labels, WORDS)
     field = replace(register(moving, views, features), encoder=WordEncoder.identity).to_field(Mixture())
     if objects:
-        node_of = labels[field.gaussian_ids].astype(np.int32)
-        tree = Tree(node_of, np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
-        field = field.with_objects(describe(field, moving.canonical, tree))
+        field = with_flat_objects(field, moving.canonical, labels[field.gaussian_ids])
     return Scene(field, moving, views)
 
 

@@ -11,12 +11,11 @@ import numpy as np
 from PIL import Image
 
 import drsplat as ds
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.moving import Frames, Moving
+from fields import with_flat_objects
 from scenes import look_at_view
 
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
@@ -93,9 +92,7 @@ def balls_field(folder: Path, gaussians: ds.Gaussians | None = None) -> ds.Langu
     features = ds.read_features(folder / "capture/language_features", encoder=ds.WordEncoder.identity)
     field = ds.register(scene, ds.read_views(folder / "capture"), features).to_field()
     rows = scene.extra.get("source_row", np.arange(len(scene)))[field.gaussian_ids]
-    ball_of, ones = (rows // PER_THING).astype(np.int32), np.ones(2)
-    tree = Tree(ball_of, np.full(2, -1, np.int32), ones.astype(np.uint8), ones.astype(np.float32))
-    return field.with_objects(describe(field, scene, tree))
+    return with_flat_objects(field, scene, rows // PER_THING)
 
 
 def write_balls(folder: Path) -> Path:
