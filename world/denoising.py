@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.ndimage import median_filter
 
+from drsplat.base.arrays import PixelNumbers
+
 Image = Float64[np.ndarray, "h w 3"]
 RADIUS = 3  # pixels
 _SPREAD = 2 * (RADIUS / 1.5) ** 2
@@ -38,7 +40,7 @@ def _without_fireflies(falling: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndar
     """No pixel much brighter than the middling one of its neighbours."""
     level = falling.mean(2)
     most = 2.5 * median_filter(level, 3) + 0.05
-    return np.asarray(falling * np.minimum(1, most / np.maximum(level, 1e-6))[..., None])
+    return falling * np.minimum(1, most / np.maximum(level, 1e-6))[..., None]
 
 
 def _overlap(dy: int, dx: int, height: int, width: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
@@ -51,8 +53,8 @@ def _span(shift: int, length: int) -> tuple[slice, slice]:
     return (slice(max(0, -shift), length - max(0, shift)), slice(max(0, shift), length - max(0, -shift)))
 
 
-def _blurred(image: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+def _blurred(image: PixelNumbers) -> PixelNumbers:
     """A 3x3 mean, to judge the level of light by."""
     padded = np.pad(image, 1, mode="edge")
     h, w = image.shape
-    return np.asarray(sum(padded[y : y + h, x : x + w] for y in range(3) for x in range(3)) / 9)
+    return sum(padded[y : y + h, x : x + w] for y in range(3) for x in range(3)) / 9

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
 
 from drsplat import View
+from drsplat.base.arrays import MaskIds, PixelNumbers, Pixels
 
 from . import engine
 from .rooms import Room
@@ -19,19 +21,16 @@ class Shot:
     the pixel meets first, -1 for the sky. depth: along z in metres, 0 for the sky."""
 
     view: View
-    image: UInt8[np.ndarray, "h w 3"]
-    ids: Int32[np.ndarray, "h w"]
-    depth: Float32[np.ndarray, "h w"]
+    image: Pixels
+    ids: MaskIds
+    depth: PixelNumbers
 
 
 def built(room: Room) -> Any:
     """The room as a Mitsuba scene; its shapes are called ID:PART."""
     shapes: dict[str, Any] = {}
-    for k, placed in enumerate(room.objects):
-        for m, (part, mesh) in enumerate(placed.part_meshes()):
-            shapes[f"s{k}:{m}"] = engine.shape(mesh, part.look, f"s{k}:{m}")
-    for k, structure in enumerate(room.structures, len(room.objects)):
-        for m, (look, mesh) in enumerate(structure.pieces):
+    for k, pieces in groupby(room.pieces(), itemgetter(0)):
+        for m, (_, look, mesh) in enumerate(pieces):
             shapes[f"s{k}:{m}"] = engine.shape(mesh, look, f"s{k}:{m}")
     return engine.scene(shapes, _lights(room))
 

@@ -14,7 +14,7 @@ from command_line import answer_of
 from drsplat import Gaussians, read_gaussians
 from drsplat.authoring.editing import Copies, Edit, EditFile, EditList, Fill, Move, Remove, Rows, edited
 from drsplat.authoring.editing.edits import document_of, edits_of, recorded
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.errors import FormatError, InputError
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.npy import write_npy
 from drsplat.fronts.viewing.bare import open_bare
@@ -93,13 +93,6 @@ def test_a_fill_that_removes_nothing_is_kept_too(file):
     assert json.loads(file.path.read_text())["edits"][1]["record"]["removed"] == []
     assert same(made, edited(scene, removed_and_filled(block)))
     assert len(made) > len(scene) - len(block)
-
-
-def test_a_list_meets_no_other_scene(file):
-    scene, block, _, _ = a_thing_in_a_hole()
-    kept(scene, block, file)
-    with pytest.raises(MismatchError, match="these edits are of another scene"):
-        file.read(scene.subset(np.arange(len(scene) - 1)))
 
 
 # --- in the viewer and in the command ---

@@ -15,9 +15,6 @@ from clients import Browser, Viewer, a_viewer
 from clients import error_of as refusal_of
 from command_line import error_of
 from drsplat import read_gaussians
-
-pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
-
 from drsplat.query.catalogue import Catalogue
 
 

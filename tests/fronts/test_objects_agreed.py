@@ -92,7 +92,6 @@ def test_a_page_lists_the_agreed_first_and_finds_each_in_the_picture():
 
 
 def test_a_catalogue_counts_them(tmp_path, capsys):
-    pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
     from drsplat.query.catalogue import Catalogue
 
     catalogue = Catalogue(tmp_path / "c")

@@ -172,7 +172,7 @@ def interrupted(options: Options) -> str:
 def _registered(options: Options, output: Path) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import folder_bytes, peak_memory_bytes
-    from ...field.building import AtOnce
+    from ...field.building import AT_ONCE
     from ...field.evidence.aggregation import aggregator
     from ...photos.embedding.growing import with_words
     from ...scene.moving import canonical_of
@@ -188,7 +188,7 @@ def _registered(options: Options, output: Path) -> Facts:
     shared: dict[str, Any] = {"threads": options.threads, "track": options.track}
     registration = _registration(inputs, known, sampling, parts, shared)
     watch.lap("register")
-    voting = how.voting is not None and isinstance(registration.coder, AtOnce)  # others have their tiles
+    voting = how.voting is not None and registration.coder is AT_ONCE  # others have their tiles
     gaussians = canonical_of(in_memory(inputs.scene)) if voting else None
     field = registration.to_field(inputs.code, aggregator=how, gaussians=gaussians, **shared)
     field = with_words(field, options.features)
@@ -236,7 +236,7 @@ def _registration(
 
 
 def _read(options: Options, known: "LanguageField | None") -> "_Inputs":
-    from ... import read_features
+    from ...formats.langsplat import read_features
 
     scene, register = scene_of(options.scene, options.workers, options.parts, options.threads)
     views = options.photos.views(options.capture, options.invert_masks)
@@ -245,8 +245,10 @@ def _read(options: Options, known: "LanguageField | None") -> "_Inputs":
     codebook = _codebook(method)
     if known is not None and known.growth is not None:
         level = known.growth.provenance.level or DEFAULT_LEVEL
-    encoder = _encoder(options.features, method.encoder_name, codebook)
-    features = read_features(options.features, level=level, encoder=encoder)
+    encoder = _named_encoder(method.encoder_name, codebook)
+    features = read_features(options.features, level, encoder, codebook.encoder if codebook else None)
+    if features.record is not None:
+        features.record.whole()
     kept = [view for view in views if view.name not in out]
     return _Inputs(scene, register, kept, out, features, _code(method, codebook))
 
@@ -357,17 +359,9 @@ def _codebook(method: Method) -> "Codebook | None":
     return read_codebook(method.codebook, method.encoder_name)
 
 
-def _encoder(features: str, name: str | None, codebook: "Codebook | None") -> "EncoderIdentity | None":
-    from ... import EncoderIdentity, WordEncoder
-    from ...formats.langsplat import FeatureFolder
-    from ...photos.embedding.embed import recorded_encoder
+def _named_encoder(name: str | None, codebook: "Codebook | None") -> "EncoderIdentity | str | None":
+    """Return all that is known of the encoder of this name."""
+    from ... import WordEncoder
 
-    noted = recorded_encoder(features)
-    if name is None:
-        return noted or (codebook.encoder if codebook else None)
-    if name == WordEncoder.identity.name:
-        return WordEncoder.identity
-    if codebook is not None and codebook.encoder.name == name:
-        return codebook.encoder
-    dim = FeatureFolder(Path(features), 0).dim
-    return EncoderIdentity(name, dim)
+    known = [WordEncoder.identity] if codebook is None else [WordEncoder.identity, codebook.encoder]
+    return next((one for one in known if one.name == name), name)
