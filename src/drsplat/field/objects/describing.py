@@ -25,10 +25,8 @@ from ...base.arrays import (
     Ids,
     Indices,
     Int64,
-    Numbers,
     OtherEmbeddings,
     OtherIds,
-    OtherIndices,
     RowIds,
     Vector3,
 )
@@ -280,7 +278,12 @@ def descriptors(weights: csr_array, embeddings: Embeddings, *, threads: int = 0)
     labels = np.zeros(clusters.weights.nnz, np.int64)
     part = np.arange(len(labels))  # entries of rows that may need more
     for count in range(1, MAX_DESCRIPTORS_PER_NODE):
-        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(axis=1, initial=-1))]
+        cosines = clusters.cosines(labels, part, count).max(axis=1, initial=-1).astype(np.float64)
+        served = np.where(cosines < ALIKE_COSINE, clusters.weights.data[part] * (1 - cosines), 0)
+        rows, most = clusters.rows[part], np.zeros(weights.shape[0])
+        np.maximum.at(most, rows, served)
+        (worst,) = np.nonzero((served > 0) & (served == most[rows]))  # among those that are unlike all centres
+        far = part[worst[np.diff(rows[worst], prepend=-1) > 0]]
         needing = np.zeros(weights.shape[0], bool)
         needing[clusters.rows[far]] = True
         part = part[needing[clusters.rows[part]]]
@@ -307,15 +310,6 @@ class _Clusters:
     @cached_property
     def rows(self) -> Entries:
         return entry_rows(self.weights)
-
-    def worst_served(self, part: Indices, cosines: Numbers) -> OtherIndices:
-        """Return the place of each row's worst served entry of `part`, among those that are unlike all centres."""
-        served = np.where(cosines < ALIKE_COSINE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
-        rows = self.rows[part]
-        most = np.zeros(self.weights.shape[0])
-        np.maximum.at(most, rows, served)
-        (worst,) = np.nonzero((served > 0) & (served == most[rows]))
-        return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
 
     def means(self, labels: Entries) -> Float32[np.ndarray, "T k D"]:
         """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
