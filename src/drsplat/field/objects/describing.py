@@ -27,6 +27,7 @@ from ...base.arrays import (
     Int64,
     OtherEmbeddings,
     OtherIds,
+    OtherIndices,
     RowIds,
     Vector3,
 )
@@ -43,7 +44,6 @@ from ..evidence.pieces import HeldRows
 from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, by_number, check_forest
 from .choosing import Tree, pairs_above
 
-Entries = Int64[np.ndarray, " e"]
 Starts = Int64[np.ndarray, " T1"]
 
 ROWS_AT_ONCE, NODES_AT_ONCE = 1 << 18, 128  # of nodes that are described
@@ -232,7 +232,7 @@ def _runs(counts: RowIds, most: int, many: int) -> list[np.ndarray]:
     return [np.arange(begin, end) for begin, end in pairwise(begins)] or [np.arange(0)]
 
 
-def _rows(inside: csr_array, order: RowIds, begins: Starts) -> tuple[Starts, Entries]:
+def _rows(inside: csr_array, order: RowIds, begins: Starts) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of some nodes and of those below them, in CSR form (starts, rows).
 
     order, begins: all rows in the order of their nodes, and where those of each begin.
@@ -308,10 +308,10 @@ class _Clusters:
     threads: int
 
     @cached_property
-    def rows(self) -> Entries:
+    def rows(self) -> OtherIndices:
         return entry_rows(self.weights)
 
-    def means(self, labels: Entries) -> Float32[np.ndarray, "T k D"]:
+    def means(self, labels: OtherIndices) -> Float32[np.ndarray, "T k D"]:
         """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
         clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         order = np.argsort(clusters, kind="stable")
@@ -323,7 +323,7 @@ class _Clusters:
         )
         return means.reshape(-1, MAX_DESCRIPTORS_PER_NODE, means.shape[1])
 
-    def cosines(self, labels: Entries, part: Indices, count: int) -> FloatRows:
+    def cosines(self, labels: OtherIndices, part: Indices, count: int) -> FloatRows:
         """Return the cosines of the entries of `part` with the first `count` centres of their rows, -1 with empty ones.
 
         BLAS is avoided: its bits depend on the number of its threads.
@@ -339,7 +339,7 @@ class _Clusters:
                 cosines[begin : begin + ENTRIES_AT_ONCE, k] = np.where(filled[rows, k], row_cosines, -1)
         return cosines
 
-    def centers(self, labels: Entries) -> tuple[Starts, Embeddings]:
+    def centers(self, labels: OtherIndices) -> tuple[Starts, Embeddings]:
         """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
         means = self.means(labels)
         shape = means.shape[:2]
