@@ -147,11 +147,9 @@ class Summing:
     def __call__(self, nodes: Indices, threads: int) -> Arrays:
         order, begins = self.scene.arrays["order"], self.scene.arrays["begins"]
         rows = np.concatenate([order[:0], *(order[begins[node] : begins[node + 1]] for node in nodes.tolist())])
-        place = np.empty(len(rows), np.int32)
-        place[np.argsort(rows)] = np.arange(len(rows), dtype=np.int32)  # each node's rows stay in their order
         starts = np.append(0, np.cumsum(np.diff(begins)[nodes])).astype(np.int32)
-        own = _csr(starts, place, np.ones(len(rows), np.float32), len(rows))
-        summed = csr_array(own @ self.weights.rows(np.sort(rows)))
+        own = _csr(starts, np.arange(len(rows), dtype=np.int32), np.ones(len(rows), np.float32), len(rows))
+        summed = csr_array(own @ self.weights.rows(rows))
         return {"starts": np.diff(summed.indptr), "columns": summed.indices, "weights": summed.data}
 
 
