@@ -336,7 +336,8 @@ def rendered_folder(place: Path, points: int) -> LabelledCloud:
     (labels / "frame_00001.json").write_text(json.dumps(document), encoding="utf-8")
     rng = default_rng(0)
     cloud = LabelledCloud(rng.random((points, 3), np.float32), rng.integers(0, 40, points).astype(np.int32))
-    (scan / "room_vh_clean_2.labels.ply").write_bytes(packing._ply(cloud))
+    columns = {**dict(zip("xyz", cloud.positions.T, strict=True)), "label": cloud.labels.astype(np.uint16)}
+    (scan / "room_vh_clean_2.labels.ply").write_bytes(packing.ply(columns))
     return cloud
 
 
