@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.gaussians import SH_C0, Gaussians
 from drsplat.scene.views import View
 
 
@@ -28,6 +28,18 @@ def random_gaussians(
     sh = rng.normal(0, 0.4, (n, (sh_degree + 1) ** 2, 3))
     columns = (rng.uniform(-extent, extent, (n, 3)), quats, scales, opacities, sh)
     return Gaussians(*(column.astype(np.float32) for column in columns))
+
+
+def gaussians_at(
+    means: np.ndarray, size: float | Sequence[float] = 0.012, color: Sequence[float] = (0.5, 0.5, 0.5),
+    opacity: float = 0.9,
+) -> Gaussians:  # fmt: skip
+    """Gaussians of one look at some places, along the world's axes. size: of every axis, or of each. color: RGB."""
+    count = len(means)
+    parts = ([1, 0, 0, 0], 4), (size, 3), (opacity, None), ((np.array(color) - 0.5) / SH_C0, 3)
+    quats, scales, opacities, sh = (np.broadcast_to(part, (count, width) if width else count) for part, width in parts)
+    columns = np.reshape(means, (count, 3)), quats, scales, opacities, sh[:, None]
+    return Gaussians(*(np.array(column, np.float32) for column in columns))
 
 
 def look_at_view(
