@@ -265,7 +265,8 @@ def test_packed_labels_are_what_the_readers_read(points, tmp_path):
     for name, document in files.items():
         write_json(tmp_path / name, document)
     (tmp_path / "scannet/room").mkdir(parents=True)
-    (tmp_path / "scannet/room/room_vh_clean_2.labels.ply").write_bytes(packing._ply(cloud))
+    columns = {**dict(zip("xyz", cloud.positions.T, strict=True)), "label": cloud.labels.astype(np.uint16)}
+    (tmp_path / "scannet/room/room_vh_clean_2.labels.ply").write_bytes(packing.ply(columns))
     output.mkdir(parents=True)
     for _ in range(2):  # again, over its own files
         packing.pack_labels(tmp_path, output)

@@ -124,11 +124,6 @@ def test_parts_of_a_thing_of_nothing_else_choose_their_classes_for_themselves(sc
     assert_array_equal(for_comparing(replace(scene.field, objects=None), values), values)
 
 
-def test_a_field_without_objects_has_the_values_themselves(scene):
-    values = default_rng(0).random(len(scene.field), np.float32)
-    assert_array_equal(by_object(replace(scene.field, objects=None), values), values)
-
-
 def test_a_thing_that_fits_best_hides_no_other(scene):
     """Box 0 reaches seven tenths of what box 1 does: more than the plain field's cut, which objects do not raise."""
     query = 0.7 * axis(0) + axis(1)
@@ -142,16 +137,6 @@ def test_a_thing_that_fits_best_hides_no_other(scene):
 
     found = Scene(scene.field, scene.gaussians, encoder=Half()).locate("either")
     assert sorted(match.object_id for match in found) == [0, 1]
-
-
-def test_loose_rows_keep_their_own_value(scene):
-    field = scene.field
-    objects = field.objects
-    node_of = objects.node_of.copy()
-    node_of[::7] = -1
-    loose = replace(field, objects=replace(objects, node_of=node_of))
-    values = default_rng(1).random(len(field), np.float32)
-    assert_array_equal(by_object(loose, values)[::7], values[::7])
 
 
 def test_an_answer_is_whole_things_and_matches_say_which(scene):

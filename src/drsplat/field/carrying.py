@@ -21,7 +21,6 @@ from ..base.arrays import (
 from ..errors import InputError, MismatchError
 from ..formats.json_files import ids_of
 from ..scene.gaussians import SH_C0, Gaussians
-from .growth import Growth
 from .labels import Label
 from .language_field import LanguageField
 
@@ -89,13 +88,16 @@ def carry_field(field: LanguageField, assignment: Assignment) -> LanguageField:
     check_found(rows >= 0, assignment.reach)
     order, ids = _ascending(rows)
     evidence, negatives, objects, growth = field.evidence, field.negatives, field.objects, field.growth
+    if growth is not None:
+        rest, rest_ids = _ascending(assignment.rows[growth.rest_ids])
+        growth = replace(growth, rest_ids=rest_ids.astype(np.uint32), rest=csr_array(growth.rest[rest]))
     return LanguageField(
         ids.astype(np.uint32), field.code.rows(order), field.encoder, assignment.scene, assignment.num_gaussians,
         evidence=None if evidence is None else replace(evidence, weights=csr_array(evidence.weights[order])),
         negatives=None if negatives is None else replace(negatives, maxima=negatives.maxima[order]),
         aggregator=field.aggregator, contrast=field.contrast, up=field.up, left_out=field.left_out,
         objects=None if objects is None else replace(objects, node_of=objects.node_of[order]),
-        growth=None if growth is None else _growth_rows(growth, assignment),
+        growth=growth,
     )  # fmt: skip
 
 
@@ -153,8 +155,3 @@ def _ascending(rows: OtherIndices) -> tuple[Indices, Indices]:
     (kept,) = np.nonzero(rows >= 0)
     order = kept[np.argsort(rows[kept])]
     return order, rows[order]
-
-
-def _growth_rows(growth: Growth, assignment: Assignment) -> Growth:
-    order, ids = _ascending(assignment.rows[growth.rest_ids])
-    return replace(growth, rest_ids=ids.astype(np.uint32), rest=csr_array(growth.rest[order]))

@@ -33,7 +33,7 @@ from .codes import PQ, CodeSpecification, Track, untracked
 from .evidence.aggregation import Aggregator, Sampling
 from .evidence.aggregation import aggregator as named
 from .evidence.changing import with_views, without_views
-from .evidence.columns import ColumnMaker, scenery_of, stack_columns, time_of
+from .evidence.columns import ColumnMaker, scenery_of, stacked, time_of
 from .evidence.evidence import Evidence, MaskIds
 from .evidence.provenance import Provenance, cameras_of
 
@@ -243,9 +243,9 @@ def register(
         scenery = scenery_of(scene, sampling.near)
         maker = ColumnMaker(scenery, folder, sampling, threads)
         followed = track(chosen, "registering views")
-        columns = [maker.columns(view, features[key]) for view, key in followed]
+        columns = [maker.columns(view, features[key])[0] for view, key in followed]
         check_one_size({c.embeddings.shape[1]: c.view_name for c in columns})
-        weights = stack_columns(columns, len(gaussians))
+        weights = stacked([c.triples for c in columns], [len(c.embeddings) for c in columns], len(gaussians))
     masks = masks_of(seen, [len(c.embeddings) for c in columns])
     evidence = Evidence(weights, replace(masks, times=times), np.concatenate([c.embeddings for c in columns]))
     encoder = encoder_of(features, evidence.embeddings.shape[1])

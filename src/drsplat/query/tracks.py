@@ -49,17 +49,11 @@ def tracks(moving: Moving, field: LanguageField, matches: Sequence[Match], up: U
             boxes[row].append(tuple(box_of(gaussians, solid(gaussians, ids), up)))
     there = counts >= MIN_PRESENT_SHARE * counts.max(1, keepdims=True, initial=1)
     there |= (counts.max(1, initial=0) == 0)[:, None]  # haze at all times: it is what there is
-    return [
-        _track(match, moving.times, found, own, field) for match, found, own in zip(matches, boxes, there, strict=True)
-    ]
-
-
-def _track(
-    match: Match, times: Doubles, boxes: Sequence[tuple[np.ndarray, ...]], there: Flags, field: LanguageField
-) -> MatchTrack:
-    center, axes, extent = (np.array([box[part] for box in boxes])[there] for part in range(3))
-    spans, names = seen_during(field, match)
-    return MatchTrack(match, times[there], center, axes, extent, spans, names)
+    found = []
+    for match, of_match, own in zip(matches, boxes, there, strict=True):
+        center, axes, extent = (np.array([box[part] for box in of_match])[own] for part in range(3))
+        found.append(MatchTrack(match, moving.times[own], center, axes, extent, *seen_during(field, match)))
+    return found
 
 
 def seen_during(field: LanguageField, match: Match) -> tuple[tuple[Span, ...], tuple[str, ...]]:

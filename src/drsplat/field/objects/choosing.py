@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Float64, Indices, Int32, Int64, Integer, UInt8
+from ...base.arrays import Bool, ByteValues, Float32, Float64, Ids, Indices, Int32, Int64, Integer, RowIds, UInt8
 from ...kernels import Forest
-from ..forest import GROUP, PART, THING
+from ..forest import GROUP, PART, THING, owner_nodes
 
 NodeIds = Int32[np.ndarray, " t"]
 NodeWorth = Float64[np.ndarray, " t"]
@@ -24,18 +24,13 @@ NONE = -1
 class Tree(NamedTuple):
     """The nodes that are kept, as in `Objects`. node_of: of each row. sure: how well masks of the photos fit a node."""
 
-    node_of: Int32[np.ndarray, " r"]
+    node_of: Ids
     parents: NodeIds
     levels: UInt8[np.ndarray, " t"]
     sure: Float32[np.ndarray, " t"]
 
 
-def choose(forest: Forest, rows: int, smallest: int) -> Tree:
-    """Choose the hierarchy of parts, things and groups in a forest whose first `rows` nodes are rows."""
-    return choose_among(forest, np.arange(rows), smallest)
-
-
-def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: int) -> Tree:
+def choose(forest: Forest, node_of: RowIds, smallest: int) -> Tree:
     """Choose the hierarchy of parts, things and groups in a forest. node_of: a node of each row, -1 for none.
 
     Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
@@ -52,7 +47,7 @@ def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: i
     crowded[_above(parents, things)[small]] = True
     total = float(forest.masses[forest.parents < 0].sum(dtype=np.float64))
     groups = _several_branches(parents, things) & (forest.masses[judged] <= MAX_GROUP_SHARE * total)
-    parts = _parts(parents, np.where(small | _holding(parents, small), NONE, worth), things | small)
+    parts = _parts(parents, np.where(small | holding(parents, parents[small]), NONE, worth), things | small)
     levels = np.full(len(parents), NONE)
     for level, nodes in ((PART, parts), (THING, things | small), (GROUP, groups | crowded)):
         levels[nodes] = level
@@ -96,20 +91,12 @@ def best_nodes(parents: AnyNodeNumbers, worth: NodeWorth) -> NodeFlags:
     return np.asarray(own & (_above(parents, own) < 0))
 
 
-def _owners(parents: AnyNodeNumbers, nodes: NodeFlags) -> NodeNumbers:
-    """Return for each node itself or the lowest of `nodes` above it, -1 for none."""
-    up = np.append(np.where(nodes, np.arange(len(parents)), parents), NONE)
-    while (up != (further := up[up])).any():
-        up = further
-    return np.asarray(up[:-1])
-
-
 def _above(parents: AnyNodeNumbers, nodes: NodeFlags) -> NodeNumbers:
     """Return for each node the lowest of `nodes` above it, -1 for none."""
-    return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
+    return np.asarray(np.append(owner_nodes(parents, nodes), NONE)[parents])
 
 
-def pairs_above(parents: AnyNodeNumbers) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
+def pairs_above(parents: AnyNodeNumbers) -> tuple[Indices, Indices]:
     """Return all pairs of a node and one that is above it, or itself."""
     below = above = np.arange(len(parents))
     lower, upper = [below], [above]
@@ -129,15 +116,15 @@ def _parts(parents: NodeNumbers, worth: NodeWorth, things: NodeFlags) -> NodeFla
     return np.asarray(best & several[thing])
 
 
-def _holding(parents: NodeNumbers, nodes: NodeFlags) -> NodeFlags:
-    """Return the nodes that have one of `nodes` below them."""
-    holding = np.zeros(len(parents), bool)
-    at = np.unique(parents[nodes])
+def holding(parents: AnyNodeNumbers, nodes: Indices) -> NodeFlags:
+    """Mark nodes that are among some or above one of them; -1 is none."""
+    marked = np.zeros(len(parents), bool)
+    at = np.unique(nodes)
     while len(at := at[at >= 0]):
-        at = at[~holding[at]]
-        holding[at] = True
+        at = at[~marked[at]]
+        marked[at] = True
         at = np.unique(parents[at])
-    return holding
+    return marked
 
 
 def _several_branches(parents: NodeNumbers, things: NodeFlags) -> NodeFlags:
@@ -151,14 +138,12 @@ def _several_branches(parents: NodeNumbers, things: NodeFlags) -> NodeFlags:
     return np.array(branches) > 1
 
 
-def _tree_of(
-    forest: Forest, node_of: Integer[np.ndarray, " r"], nodes: Indices, levels: UInt8[np.ndarray, " n"]
-) -> Tree:
+def _tree_of(forest: Forest, node_of: RowIds, nodes: Indices, levels: ByteValues) -> Tree:
     """Return the tree of the chosen nodes alone, in their order."""
     among = np.zeros(len(forest.parents), bool)
     among[nodes] = True
     number = np.append(np.cumsum(among) - 1, NONE)
-    lowest = number[np.append(_owners(forest.parents, among), NONE)[node_of]]
+    lowest = number[np.append(owner_nodes(forest.parents, among), NONE)[node_of]]
     parents = _within(forest.parents, nodes)
     return Tree(lowest.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])
 

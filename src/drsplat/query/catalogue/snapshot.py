@@ -113,10 +113,10 @@ class Part:
             lengths["o"] = np.array([scene.num_objects for scene in scenes], np.int64)
             starts = {axis: np.append(0, np.cumsum(counts, dtype=np.int64)) for axis, counts in lengths.items()}
             fits = all(len(arrays[name]) == starts.get(axis[0], [len(scenes)])[-1] for name, (_, axis) in ROWS.items())
-            if not fits or arrays["descriptors"].shape[1] != dim:
-                raise FormatError(f"{where}: expected the objects of {len(scenes)} scenes, of {dim} dimensions")
-            if arrays["centers"].shape[1] != 3:
-                raise FormatError(f"{where}: centers: expected three coordinates")
+            if not fits or (arrays["descriptors"].shape[1], arrays["centers"].shape[1]) != (dim, 3):
+                raise FormatError(
+                    f"{where}: expected boxes of the objects of {len(scenes)} scenes, and descriptors of {dim} numbers"
+                )
         except (FormatError, InputError) as error:
             raise FormatError(f"{error}: {CURE}") from error
         return cls(where, scenes, arrays, starts)
@@ -127,8 +127,9 @@ class Part:
     def scene(self, number: int) -> Arrays:
         """Return all arrays of one scene."""
         begin, end = self.starts["o"][number : number + 2].tolist()
-        bounds = {"o": (begin, end), "s": (number, number + 1), "k": self.starts["k"][number : number + 2]}
-        bounds |= {axis: self.starts[axis][[begin, end]] for axis in "prt"}
+        bounds = {axis: self.starts[axis][[begin, end]] for axis in "prt"}
+        bounds |= {"o": np.array([begin, end]), "s": np.array([number, number + 1])}
+        bounds["k"] = self.starts["k"][number : number + 2]
         return {name: self.arrays[name][slice(*bounds[axis[0]])] for name, (_, axis) in ROWS.items()}
 
     def row(self, scene: int, object_id: int) -> int | None:

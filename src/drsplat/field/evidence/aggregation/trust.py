@@ -34,7 +34,9 @@ class MaskTrust:
 
     def trust(self, counted: "Tally") -> Doubles:
         """Return the trust in each mask. counted: over all rows."""
-        return np.exp(self.sharpness * counted.means)
+        none = np.zeros(len(counted.weights))
+        means = np.divide(counted.surpluses, counted.weights, out=none, where=counted.weights > 0)
+        return np.exp(self.sharpness * means)
 
     def weighed(self, evidence: Evidence, trust: Doubles) -> Evidence:
         """Return the evidence of some rows, weighed by the trust in masks; a row depends on itself alone."""
@@ -56,12 +58,6 @@ class Tally(NamedTuple):
 
     surpluses: Doubles
     weights: Doubles
-
-    @property
-    def means(self) -> Doubles:
-        """How much better each mask agrees than the other votes of its Gaussians; 0 where there are none."""
-        none = np.zeros(len(self.weights))
-        return np.divide(self.surpluses, self.weights, out=none, where=self.weights > 0)
 
 
 def tally(evidence: Evidence, threads: int = 0) -> Tally:
