@@ -11,6 +11,7 @@ import zstandard
 from PIL import Image
 
 from drsplat.scene.gaussians import Gaussians
+from twins.registering import sh_basis
 
 C0 = 0.5 / np.sqrt(np.pi)
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint", "i2": "short", "u2": "ushort"}
@@ -226,31 +227,6 @@ def turned(g: Gaussians, signs: tuple[int, int, int] = (1, -1, -1)) -> Gaussians
     flips = np.median(ratio, axis=0)[: g.sh.shape[1], None].astype(np.float32)
     turn = np.array([1, s[1] * s[2], s[0] * s[2], s[0] * s[1]], np.float32)
     return Gaussians(g.means * s, g.quats * turn, g.scales, g.opacities, g.sh * flips, g.extra)
-
-
-def sh_basis(d: np.ndarray) -> np.ndarray:
-    """Real spherical harmonics up to factors, in the order of 3DGS, at directions (n, 3)."""
-    x, y, z = d.T
-    xx, yy, zz = x * x, y * y, z * z
-    columns = [
-        np.ones_like(x),
-        y,
-        z,
-        x,
-        x * y,
-        y * z,
-        2 * zz - xx - yy,
-        x * z,
-        xx - yy,
-        y * (3 * xx - yy),
-        x * y * z,
-        y * (4 * zz - xx - yy),
-        z * (2 * zz - 3 * xx - 3 * yy),
-        x * (4 * zz - xx - yy),
-        z * (xx - yy),
-        x * (xx - 3 * yy),
-    ]
-    return np.stack(columns, 1)
 
 
 def webp_bytes(pixels: np.ndarray, lossless: bool = True) -> bytes:
