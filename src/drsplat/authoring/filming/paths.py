@@ -292,7 +292,7 @@ def _said(whole: object, names: Sequence[str]) -> dict[str, object]:
 
 @contextmanager
 def _blamed(where: str) -> Iterator[None]:
-    """Blame a part of the file for values that no path can be made of."""
+    """Name the part of the file whose values no path can be made of."""
     try:
         yield
     except InputError as error:
