@@ -47,7 +47,7 @@ def test_help_is_short_fits_in_80_columns_and_tells_of_the_rest(verb, monkeypatc
     monkeypatch.setenv("COLUMNS", "80")
     short, long = (text_of(capsys, verb, flag) for flag in ("--help", "--help-all"))
     for text in (short, long):
-        assert [line for line in text.splitlines() if len(line) > 80] == []
+        assert [line for line in text.splitlines() if len(line) > 80 or "None" in line] == []
         assert re.findall(r"\w+-\n", text) == []  # names with hyphens, which people copy, stay whole
         assert re.findall(r"\\\n +[^-\s].*", text) == []  # and values beside their options
     examples = commands_in(sys.modules[f"drsplat.fronts.commands.{verb}"].EXAMPLES)
