@@ -4,8 +4,10 @@ Cameras hold float32 numbers only, so that a float32 kernel and its float64 twin
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from world.cameras import look_at
 
 from drsplat.scene.gaussians import SH_C0, Gaussians
 from drsplat.scene.views import View
@@ -52,18 +54,10 @@ def look_at_view(
     principal: tuple[float, float] | None = None,
 ) -> View:
     """A camera at `eye` that looks at `target`, world +z up; fov is horizontal."""
-    forward = np.subtract(target, eye)
-    forward = forward / np.linalg.norm(forward)
-    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.99 else (0.0, 1.0, 0.0)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
-    center = principal or (width / 2, height / 2)
-    intrinsics = np.array([[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1.0]])
-    return View("view.png", as_float32(intrinsics), as_float32(pose), width, height)
+    view = look_at(eye, target, (width, height), fov_degrees, "view.png")
+    intrinsics = view.K.copy()
+    intrinsics[:2, 2] = principal or intrinsics[:2, 2]
+    return replace(view, K=as_float32(intrinsics), cam_from_world=as_float32(view.cam_from_world))
 
 
 def as_float32(values: np.ndarray) -> np.ndarray:
