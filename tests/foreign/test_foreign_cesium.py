@@ -10,6 +10,7 @@ from drsplat.scene.gaussians import SH_C0, Gaussians
 from drsplat.scene.labelled import LabelledScene
 from foreign_programs import needs_packages
 from foreign_viewing import serving
+from scenes import plain_gaussians
 
 pytestmark = [needs_chromium, needs_packages("cesium"), pytest.mark.oracle, pytest.mark.slow]
 NORTH_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # of a PLY, whose y is down
@@ -19,13 +20,10 @@ COUNT, ROWS = 400, 100
 def wall() -> Gaussians:
     """Make a wall that faces south: green above, red below on its left, and blue below on its right."""
     rng = np.random.default_rng(0)
-    means = (rng.uniform(-1, 1, (COUNT, 3)) * [3, 3, 0.05]).astype(np.float32)
+    means = rng.uniform(-1, 1, (COUNT, 3)) * [3, 3, 0.05]
     above, left = means[:, 1] < 0, means[:, 0] < 0
     colors = np.where(above[:, None], [0, 1, 0], np.where(left[:, None], [1, 0, 0], [0, 0, 1]))
-    quats = np.tile(np.float32([1, 0, 0, 0]), (COUNT, 1))
-    scales = np.full((COUNT, 3), 0.15, np.float32)
-    sh = ((colors - 0.5) / SH_C0).astype(np.float32)[:, None]
-    return Gaussians(means, quats, scales, np.full(COUNT, 0.9, np.float32), sh)
+    return plain_gaussians(means, 0.15, 0.9, ((colors - 0.5) / SH_C0)[:, None])
 
 
 @pytest.mark.parametrize(("error", "splats"), [(0.01, COUNT), (100.0, ROWS)])

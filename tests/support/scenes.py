@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from world.cameras import look_at
 
 from drsplat.scene.gaussians import Gaussians
@@ -30,6 +31,18 @@ def random_gaussians(
     sh = rng.normal(0, 0.4, (n, (sh_degree + 1) ** 2, 3))
     columns = (rng.uniform(-extent, extent, (n, 3)), quats, scales, opacities, sh)
     return Gaussians(*(column.astype(np.float32) for column in columns))
+
+
+def plain_gaussians(means: ArrayLike, scales: ArrayLike, opacities: ArrayLike, sh: ArrayLike = 0.0) -> Gaussians:
+    """Gaussians along the axes of the world. A number, or a row, stands for those of all; sh: of degree 0 where less.
+
+    scales: a number for each needs (n, 1).
+    """
+    count, sh = len(np.asarray(means)), np.float32(sh)
+    shapes = (count, 3), (count, 4), (count, 3), (count,), sh.shape if sh.ndim == 3 else (count, 1, 3)
+    values = means, (1, 0, 0, 0), scales, opacities, sh
+    columns = (np.broadcast_to(np.float32(v), shape).copy() for v, shape in zip(values, shapes, strict=True))
+    return Gaussians(*columns)
 
 
 def look_at_view(

@@ -17,7 +17,7 @@ from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.moving import Frames, Moving
-from scenes import look_at_view
+from scenes import look_at_view, plain_gaussians
 
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
 THINGS = {"red mug": (-0.7, 0.0, 0.0), "blue plate": (0.7, 0.0, 0.0)}
@@ -32,15 +32,7 @@ def balls() -> ds.Gaussians:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     means = 0.3 * directions + np.repeat(list(THINGS.values()), PER_THING, axis=0)
     colors = np.repeat([(1.2, -1.2, -1.2), (-1.2, -1.2, 1.2)], PER_THING, axis=0)
-    count = len(means)
-    columns = (
-        means,
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        np.full((count, 3), 0.05),
-        np.full(count, 0.9),
-        colors[:, None],
-    )
-    return ds.Gaussians(*(column.astype(np.float32) for column in columns))
+    return plain_gaussians(means, 0.05, 0.9, colors[:, None])
 
 
 def sliding(gaussians: ds.Gaussians) -> Moving:
