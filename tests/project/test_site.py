@@ -11,14 +11,12 @@ from typing import Any
 
 import pytest
 from PIL import Image
+from scripts import check_links, make_gallery
 
 from browsing import SLOW, eventually, needs_chromium
 from viewing_scenes import boxes_scene
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import check_links  # noqa: E402
-import make_gallery  # noqa: E402
 
 CONTRAST = (ROOT / "tests/support/contrast.js").read_text(encoding="utf-8").partition("\n")[2]
 

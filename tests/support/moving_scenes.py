@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from drsplat import Mixture, Scene, View, ViewFeatures, WordEncoder, register
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.moving import Frames, Moving
-from scenes import look_at_view, plain_gaussians, random_gaussians
+from fields import with_flat_objects
+from scenes import gaussians_at, look_at_view, random_gaussians
 from written_captures import model_of, transforms_document, write_json, write_photo
 
 
@@ -49,7 +48,7 @@ def passing() -> Moving:
     car, vase = (rng.uniform(-0.2, 0.2, (100, 3)) + center for center in ((0.0, -1.0, 0.2), (-0.6, 0.05, 0.2)))
     table = rng.uniform((-1, -1.5, -0.2), (1, 1.5, -0.05), (100, 3))
     scales = np.repeat([0.05, 0.05, 0.15], 100)[:, None]
-    gaussians = plain_gaussians(np.concatenate([car, vase, table]), scales, 0.9)
+    gaussians = gaussians_at(np.concatenate([car, vase, table]), scales)
     stamps = np.linspace(0, 1, STEPS)
 
     def frame(number: int) -> Gaussians:
@@ -89,9 +88,7 @@ def passing_scene(objects: bool = False) -> Scene:
     features = label_masks(moving, views, labels, WORDS)
     field = replace(register(moving, views, features), encoder=WordEncoder.identity).to_field(Mixture())
     if objects:
-        node_of = labels[field.gaussian_ids].astype(np.int32)
-        tree = Tree(node_of, np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
-        field = field.with_objects(describe(field, moving.canonical, tree))
+        field = with_flat_objects(field, moving.canonical, labels[field.gaussian_ids])
     return Scene(field, moving, views)
 
 

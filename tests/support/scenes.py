@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from world.cameras import look_at
 
-from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.gaussians import SH_C0, Gaussians
 from drsplat.scene.views import View
 
 
@@ -33,16 +33,16 @@ def random_gaussians(
     return Gaussians(*(column.astype(np.float32) for column in columns))
 
 
-def plain_gaussians(means: ArrayLike, scales: ArrayLike, opacities: ArrayLike, sh: ArrayLike = 0.0) -> Gaussians:
-    """Gaussians along the axes of the world. A number, or a row, stands for those of all; sh: of degree 0 where less.
-
-    scales: a number for each needs (n, 1).
-    """
-    count, sh = len(np.asarray(means)), np.float32(sh)
-    shapes = (count, 3), (count, 4), (count, 3), (count,), sh.shape if sh.ndim == 3 else (count, 1, 3)
-    values = means, (1, 0, 0, 0), scales, opacities, sh
-    columns = (np.broadcast_to(np.float32(v), shape).copy() for v, shape in zip(values, shapes, strict=True))
-    return Gaussians(*columns)
+def gaussians_at(
+    means: np.ndarray, size: ArrayLike = 0.012, color: ArrayLike = (0.5, 0.5, 0.5),
+    opacity: float = 0.9,
+) -> Gaussians:  # fmt: skip
+    """Gaussians of one look at some places, along the world's axes. size: of every axis, or of each. color: RGB."""
+    count = len(means)
+    parts = ([1, 0, 0, 0], 4), (size, 3), (opacity, None), ((np.array(color) - 0.5) / SH_C0, 3)
+    quats, scales, opacities, sh = (np.broadcast_to(part, (count, width) if width else count) for part, width in parts)
+    columns = np.reshape(means, (count, 3)), quats, scales, opacities, sh[:, None]
+    return Gaussians(*(np.array(column, np.float32) for column in columns))
 
 
 def look_at_view(

@@ -11,13 +11,12 @@ import numpy as np
 from PIL import Image
 
 import drsplat as ds
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.moving import Frames, Moving
-from scenes import look_at_view, plain_gaussians
+from fields import with_flat_objects
+from scenes import gaussians_at, look_at_view
 
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
 THINGS = {"red mug": (-0.7, 0.0, 0.0), "blue plate": (0.7, 0.0, 0.0)}
@@ -32,7 +31,7 @@ def balls() -> ds.Gaussians:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     means = 0.3 * directions + np.repeat(list(THINGS.values()), PER_THING, axis=0)
     colors = np.repeat([(1.2, -1.2, -1.2), (-1.2, -1.2, 1.2)], PER_THING, axis=0)
-    return plain_gaussians(means, 0.05, 0.9, colors[:, None])
+    return replace(gaussians_at(means, 0.05), sh=colors.astype(np.float32)[:, None])
 
 
 def sliding(gaussians: ds.Gaussians) -> Moving:
@@ -85,9 +84,7 @@ def balls_field(folder: Path, gaussians: ds.Gaussians | None = None) -> ds.Langu
     features = ds.read_features(folder / "capture/language_features", encoder=ds.WordEncoder.identity)
     field = ds.register(scene, ds.read_views(folder / "capture"), features).to_field()
     rows = scene.extra.get("source_row", np.arange(len(scene)))[field.gaussian_ids]
-    ball_of, ones = (rows // PER_THING).astype(np.int32), np.ones(2)
-    tree = Tree(ball_of, np.full(2, -1, np.int32), ones.astype(np.uint8), ones.astype(np.float32))
-    return field.with_objects(describe(field, scene, tree))
+    return with_flat_objects(field, scene, rows // PER_THING)
 
 
 def write_balls(folder: Path) -> Path:
