@@ -2,15 +2,15 @@
 
 import base64
 import contextlib
+import io
 import json
 import re
 import runpy
 import socket
 import sys
-import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from importlib.util import find_spec
 from pathlib import Path
+from unittest.mock import Mock
 from urllib.error import HTTPError
 
 import numpy as np
@@ -193,33 +193,16 @@ def test_asking_over_http(demo, capsys):
         socket.create_connection(("127.0.0.1", int(port)), 1)
 
 
-class BusyAtFirst(BaseHTTPRequestHandler):
-    """503 and when to come again, then an answer."""
-
-    asked = 0
-
-    def do_GET(self) -> None:
-        BusyAtFirst.asked += 1
-        busy = BusyAtFirst.asked == 1
-        self.send_response(503 if busy else 404 if self.path == "/none" else 200)
-        self.send_header("retry-after", "0")
-        self.end_headers()
-        self.wfile.write(b"here")
-
-    def log_message(self, *_: object) -> None: ...
-
-
-def test_a_busy_service_is_asked_again():
+def test_a_busy_service_is_asked_again(monkeypatch):
+    """503 and when to come again, then an answer; then 404, which is none."""
     fetch = runpy.run_path(str(EXAMPLES["09"]))["fetch"]
-    with HTTPServer(("127.0.0.1", 0), BusyAtFirst) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        address = f"http://127.0.0.1:{server.server_port}"
-        assert fetch(address) == b"here"
-        assert BusyAtFirst.asked == 2
-        with pytest.raises(HTTPError, match="404") as refused:
-            fetch(f"{address}/none")
-        refused.value.close()
-        server.shutdown()
+    busy, none = (HTTPError("", code, "", {"retry-after": "0"}, io.BytesIO()) for code in (503, 404))
+    asked = Mock(side_effect=[busy, io.BytesIO(b"here"), none])
+    monkeypatch.setitem(fetch.__globals__, "urlopen", asked)
+    assert fetch("http://127.0.0.1") == b"here"
+    assert asked.call_count == 2
+    with pytest.raises(HTTPError, match="404"):
+        fetch("http://127.0.0.1")
 
 
 @pytest.mark.slow
