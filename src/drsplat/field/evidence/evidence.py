@@ -266,16 +266,19 @@ def evidence_from_tensors(tensors: ArraysByName, metadata: Mapping[str, str], wh
     """
     check_tensors(tensors, _ARRAYS | (_TIMES if "view_times" in tensors else {}), where)
     indptr, indices, data, embeddings, views, ids = (np.asarray(tensors[name]) for name in _ARRAYS)
-    # SciPy would read where the row starts point.
-    whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
-    if not whole or (indptr[1:] < indptr[:-1]).any():
-        raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
     names, rendered = (
         as_kind(document_in(metadata.get(name, default), where), tuple[str, ...], f"{where}: {name}")
         for name, default in (("view_names", ""), ("rendered_from", "[]"))
     )
     try:
+        check_starts(indptr, len(indices))
         masks = MaskIds(names, views, ids, tensors.get("view_times"), rendered)
         return StoredEvidence.of(Entries(indptr, indices, data), masks, embeddings)
     except ValueError as error:
         raise FormatError(f"{where}: {error}") from error
+
+
+def check_starts(starts: RowIds, entries: int) -> None:
+    """Refuse row starts that do not fit, of which SciPy would read where they point. Raises: InputError."""
+    if not len(starts) or (starts[0], starts[-1]) != (0, entries) or (starts[1:] < starts[:-1]).any():
+        raise InputError(f"row starts do not fit {entries} entries")

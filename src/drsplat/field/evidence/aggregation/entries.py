@@ -27,6 +27,7 @@ from ....base.arrays import (
     OtherEmbeddings,
     OtherFlags,
     OtherIndices,
+    RowIds,
     WholeNumbers,
 )
 from ....base.contents import release
@@ -143,6 +144,17 @@ def of_columns(evidence: Evidence, kept: Flags) -> Evidence:
 def entry_rows(matrix: csr_array) -> Indices:
     """Return the row of each entry."""
     return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+
+
+def view_runs(views: RowIds, starts: WholeNumbers) -> np.ndarray:
+    """Return where entries of another photo, or of another row, begin; those of a photo are adjacent.
+
+    views: of the entries of some rows. starts: of each row, and the number of all entries.
+    """
+    new = np.zeros(len(views) + 1, np.bool_)
+    new[1:-1] = views[1:] != views[:-1]
+    new[starts] = True
+    return np.flatnonzero(new[:-1])
 
 
 def column_counts(weights: csr_array) -> Indices:
