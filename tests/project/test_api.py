@@ -81,20 +81,34 @@ def place_of(parts: list[str]) -> str:
     return f"{wing}.{inner[0]}" if inner and inner[0] in WINGS[wing] else wing
 
 
-def imports_of(path: Path) -> set[str]:
-    """Places in ORDER that a file imports from, wherever in it; the package itself is none."""
-    package = ["drsplat", *path.relative_to(SOURCE).parent.parts]
+def imported(path: Path, *, types: bool = True) -> set[str]:
+    """Modules and names of drsplat, without its own name, that a file imports from, wherever in it.
+
+    types: also what types alone need.
+    """
+    package, tree = path.relative_to(SOURCE).parent.parts, ast.parse(path.read_text())
+    asides = [n for n in ast.walk(tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
+    left_out = set() if types else {id(inner) for node in asides for inner in ast.walk(node)}
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom):
-            base = package[: len(package) - node.level + 1] if node.level else []
-            full = [*base, *(node.module.split(".") if node.module else [])]
-            names = [[*full, alias.name] for alias in node.names]
-            found |= {place_of(name[1:]) for name in names if name[0] == "drsplat" and name[1] in WINGS}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level and id(node) not in left_out:
+            base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
+            found |= {".".join([*base, alias.name]) for alias in node.names}
     return found
 
 
-@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix())
+def imports_of(path: Path) -> set[str]:
+    """Places in ORDER that a file imports from; the package itself is none."""
+    parts = [name.split(".") for name in imported(path)]
+    return {place_of(name) for name in parts if name[0] in WINGS}
+
+
+every_module = pytest.mark.parametrize(
+    "path", sorted(SOURCE.rglob("*.py")), ids=lambda path: path.relative_to(SOURCE).as_posix()
+)
+
+
+@every_module
 def test_imports_go_one_way(path):
     parts = list(path.relative_to(SOURCE).with_suffix("").parts)
     if parts[-1] == "__init__":  # of a wing names modules of its rooms, but loads none
@@ -105,31 +119,15 @@ def test_imports_go_one_way(path):
     assert not upwards, f"{place_of(parts)} comes before {upwards}"
 
 
-def modules_of(path: Path, known: set[str]) -> set[str]:
-    """Modules of drsplat that a file imports when it runs, wherever in it; types alone need none."""
-    package = path.relative_to(SOURCE).parent.parts
-    tree = ast.parse(path.read_text())
-    of_types = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        for inner in ast.walk(node)
-    }
-    found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.level and id(node) not in of_types:
-            base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
-            names = {".".join([*base, alias.name]) for alias in node.names}
-            found |= {name if name in known else ".".join(base) for name in names}
-    return found & known
-
-
 def test_no_two_modules_need_each_other():
     def name_of(path: Path) -> str:
         return ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
 
     paths = {name_of(path): path for path in SOURCE.rglob("*.py")}
-    left = {name: modules_of(path, set(paths)) - {name} for name, path in paths.items()}
+    left = {}
+    for name, path in paths.items():
+        named = imported(path, types=False)
+        left[name] = (named | {one.rpartition(".")[0] for one in named if one not in paths}) & paths.keys() - {name}
     while free := {name for name, needed in left.items() if not needed & left.keys()}:
         left = {name: needed for name, needed in left.items() if name not in free}
     assert sorted(left) == []  # what remains is in a circle, or needs one
@@ -206,7 +204,7 @@ def nouns_first(path: Path) -> list[str]:
     return [line for line in lines if line.split()[0].rstrip(",:;") not in VERBS]
 
 
-@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: path.relative_to(SOURCE).as_posix())
+@every_module
 def test_no_module_gives_a_name_twice(path):
     """The second would be meant where the first is read: so a joined module reads another's constant."""
     names: list[str] = []

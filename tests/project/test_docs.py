@@ -11,10 +11,10 @@ import pytest
 from scripts.made_tables import TABLES
 
 import drsplat as ds
+from drsplat.field.registration import Registration
 from drsplat.formats.known import FORMATS
 from drsplat.formats.tensors import map_tensors
-from fields import with_flat_objects
-from toy_capture import NEGATIVES, PER_THING, write_toy_capture
+from toy_capture import NEGATIVES, balls_field, write_toy_capture
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (*(ROOT / "docs").rglob("*.md"), *(ROOT / name / "README.md" for name in ("world", "benchmarks")))
@@ -153,12 +153,9 @@ def test_every_rule_of_the_method_has_code_and_a_test():
 def field_folder(capture, tmp_path_factory) -> Path:
     encoder = ds.WordEncoder()
     folder = tmp_path_factory.mktemp("field") / "scene.field"
-    features = ds.read_features(capture / "capture/language_features", encoder=encoder.identity)
-    views = ds.read_views(capture / "capture")
-    gaussians = ds.read_gaussians(capture / "scene.ply")
-    field = ds.register(gaussians, views, features).to_field()
-    field = replace(field, growth=ds.register(gaussians, views, features).to_field(ds.Mixture()).growth)
-    field = with_flat_objects(field, gaussians, field.gaussian_ids // PER_THING)
+    field = balls_field(capture)
+    grown = Registration.from_field(field).to_field(ds.Mixture())
+    field = replace(field, growth=grown.growth)
     texts, vectors = tuple(NEGATIVES), encoder.encode_texts(NEGATIVES)
     field.with_negatives(vectors, texts).with_contrast(vectors, texts).save(folder)
     return folder

@@ -1,11 +1,9 @@
 """Small scenes that move, for tests."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from drsplat import Mixture, Scene, View, ViewFeatures, WordEncoder, register
 from drsplat.formats.langsplat import write_features
@@ -15,6 +13,7 @@ from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.moving import Frames, Moving
 from fields import with_flat_objects
 from scenes import look_at_view, random_gaussians
+from written_captures import model_of, transforms_document, write_json, write_photo
 
 
 def still(gaussians: Gaussians, times: np.ndarray | None = None) -> Moving:
@@ -110,16 +109,9 @@ def write_film(folder: Path) -> None:
     moving = passing()
     write_moving(folder / "frames", moving)
     views = passing_views(moving)
-    frames = []
     for view in views:
-        path = folder / "capture" / "images" / view.name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.zeros((view.height, view.width, 3), np.uint8)).save(path)
-        pose = np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1])
-        frames.append({"file_path": f"images/{view.name}", "transform_matrix": pose.tolist()})
-    first = views[0]
-    lens = {"w": first.width, "h": first.height, "fl_x": first.K[0, 0], "fl_y": first.K[1, 1]}
-    (folder / "capture/transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+        write_photo(folder / "capture/images" / view.name, view.width, view.height)
+    write_json(folder / "capture/transforms.json", transforms_document(*model_of(views)))
     for name, one in label_masks(moving, views, np.repeat(np.arange(3), 100), WORDS).items():
         stem = str(Path(name).with_suffix(""))
         write_features(folder / "capture/language_features", stem, one.mask_ids, one.embeddings, form="compact")
