@@ -16,7 +16,7 @@ import drsplat as ds
 from command_line import answer_of, error_of
 from drsplat.authoring.editing import Edit, EditFile, Remove, Rows
 from drsplat.authoring.exporting import export
-from drsplat.errors import FormatError, InputError
+from drsplat.errors import FormatError
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.sog import read_unpacked_sog
 from drsplat.formats.sources import Block, sources_of
@@ -33,6 +33,7 @@ from drsplat.formats.tiles import Tiles
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing
 from mutations import quota, seeded, survivors
+from refusing import malformed, refused
 from scene_files import random_gaussians
 
 COUNT, LEAF, CHUNK = 300, 40, 90
@@ -212,16 +213,16 @@ def test_names_are_inspected(tmp_path, capsys):
 
 def test_a_level_that_is_not_there_is_refused(tmp_path):
     path = written(tmp_path, labelled())
-    with pytest.raises(FormatError, match="no chunk of level 4"):
+    with malformed("no chunk of level 4"):
         read_streamed_sog(path, LEVELS)
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):
     scene = labelled(5)
-    with pytest.raises(InputError, match="no Gaussians to write"):
+    with refused("no Gaussians to write"):
         written(tmp_path, LabelledScene(scene.gaussians.subset(np.zeros(0, int))))
     scene.gaussians.means[3] = np.nan
-    with pytest.raises(InputError, match="row 3"):
+    with refused("row 3"):
         written(tmp_path, scene)
     assert not (tmp_path / "out").exists()
 

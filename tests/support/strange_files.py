@@ -38,6 +38,7 @@ from written_captures import transforms_document, write_colmap_binary, write_col
 
 W, H = 64, 48
 CAMERA = [(1, "PINHOLE", W, H, (70.0, 70.0, W / 2, H / 2))]
+ENTRY = {"width": W, "height": H, "position": [0, 0, 0], "rotation": np.eye(3).tolist(), "fx": 70, "fy": 70}
 BOM = b"\xef\xbb\xbf"
 PAGE = b"<!DOCTYPE html>\n<html><head><title>Sign in</title></head><body></body></html>"
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 104857600\n"
@@ -179,66 +180,52 @@ def _(folder):
     return views(folder)
 
 
-@case("names", "photos in other case on disk", "2 views, 2 photos")
-def _(folder):
-    return views(capture(folder, "IMG_1.JPG", "Img_2.jpg", files=("img_1.jpg", "IMG_2.JPG")))
-
-
-@case("names", "folders in other case on disk", "1 views, 1 photos")
-def _(folder):
-    return views(capture(folder, "Cam0/a.png", files=("cam0/A.png",)))
-
-
-@case("names", "letters composed in the model, decomposed on disk (a Mac)", "1 views, 1 photos")
-def _(folder):
-    name = "Küche.png"
-    return views(capture(folder, unicodedata.normalize("NFC", name), files=(unicodedata.normalize("NFD", name),)))
-
-
-@case("names", "PNG in the model, JPEG on disk", "2 views, 2 photos", "another suffix", "a.jpg for a.png")
-def _(folder):
-    return views(capture(folder, "a.png", "b.png", files=("a.jpg", "b.JPG")))
-
-
-@case("names", "a.jpg and A.jpg in the model, one of them on disk: each photo once", "2 views, 1 photos", "A.jpg")
-def _(folder):
-    return views(capture(folder, "a.jpg", "A.jpg", files=("a.jpg",)))
-
-
-@case("names", "two files that a name could mean: neither", "1 views, 0 photos", "no photo")
-def _(folder):
-    return views(capture(folder, "IMG.png", files=("img.png", "Img.png")))
-
-
-@case("names", "a Windows drive in the model", "2 views, 2 photos, 0 masks: a.png, b.png")
-def _(folder):
-    return views(capture(folder, r"C:\Users\me\room\a.png", r"C:\Users\me\room\b.png", files=("a.png", "b.png")))
-
-
-@case("names", "a Windows share with folders of cameras", "2 views, 2 photos", "cam0/a.png", "cam1/a.png")
-def _(folder):
-    names = (r"\\nas\scans\room\images\cam0\a.png", r"\\nas\scans\room\images\cam1\a.png")
-    return views(capture(folder, *names, files=("cam0/a.png", "cam1/a.png")))
-
-
-@case("names", "names below the project: images/a.png", "1 views, 1 photos")
-def _(folder):
-    return views(capture(folder, "images/a.png", files=("a.png",)))
+for _what, _names, _files, _words in (
+    ("photos in other case on disk", ("IMG_1.JPG", "Img_2.jpg"), ("img_1.jpg", "IMG_2.JPG"), ("2 views, 2 photos",)),
+    ("folders in other case on disk", ("Cam0/a.png",), ("cam0/A.png",), ("1 views, 1 photos",)),
+    (
+        "letters composed in the model, decomposed on disk (a Mac)", (unicodedata.normalize("NFC", "Küche.png"),),
+        (unicodedata.normalize("NFD", "Küche.png"),), ("1 views, 1 photos",),
+    ),
+    (
+        "PNG in the model, JPEG on disk", ("a.png", "b.png"), ("a.jpg", "b.JPG"),
+        ("2 views, 2 photos", "another suffix", "a.jpg for a.png"),
+    ),
+    (
+        "a.jpg and A.jpg in the model, one of them on disk: each photo once", ("a.jpg", "A.jpg"), ("a.jpg",),
+        ("2 views, 1 photos", "A.jpg"),
+    ),
+    ("two files that a name could mean: neither", ("IMG.png",), ("img.png", "Img.png"), ("0 photos", "no photo")),
+    (
+        "a Windows drive in the model", (r"C:\Users\me\room\a.png", r"C:\Users\me\room\b.png"), ("a.png", "b.png"),
+        ("2 views, 2 photos, 0 masks: a.png, b.png",),
+    ),
+    (
+        "a Windows share with folders of cameras",
+        (r"\\nas\scans\room\images\cam0\a.png", r"\\nas\scans\room\images\cam1\a.png"),
+        ("cam0/a.png", "cam1/a.png"), ("2 views, 2 photos", "cam0/a.png", "cam1/a.png"),
+    ),
+    ("names below the project: images/a.png", ("images/a.png",), ("a.png",), ("1 views, 1 photos",)),
+    (
+        "a name that leaves the folder by a drive and dots", (r"C:\room\a.png", r"C:\room\..\..\b.png"), (),
+        ("FormatError", "b.png", "expected a file name", "by its place"),
+    ),
+):  # fmt: skip
+    case("names", _what, *_words)(
+        lambda folder, names=_names, files=_files: views(capture(folder, *names, files=files))
+    )
 
 
 @case("names", "names without suffix, and two files of each", "1 views, 1 photos", "a.jpg of a.jpg, a.png is taken")
 def _(folder):
-    entry = {"width": W, "height": H, "position": [0, 0, 0], "rotation": np.eye(3).tolist(), "fx": 70, "fy": 70}
-    write_json(folder / "cameras.json", [{"id": 0, "img_name": "a", **entry}])
+    write_json(folder / "cameras.json", [{"img_name": "a", **ENTRY}])
     write_photo(folder / "images/a.png", W, H), write_photo(folder / "images/a.jpg", W, H)
     return views(folder)
 
 
 @case("names", "cameras.json of Windows", "2 views, 2 photos", "a.png, b.png")
 def _(folder):
-    entry = {"width": W, "height": H, "position": [0, 0, 0], "rotation": np.eye(3).tolist(), "fx": 70, "fy": 70}
-    names = (r"D:\room\input\a", r"D:\room\input\b")
-    write_json(folder / "cameras.json", [{"id": k, "img_name": name, **entry} for k, name in enumerate(names)])
+    write_json(folder / "cameras.json", [{"img_name": rf"D:\room\input\{name}", **ENTRY} for name in "ab"])
     write_photo(folder / "images/a.png", W, H), write_photo(folder / "images/b.png", W, H)
     return views(folder)
 
@@ -269,18 +256,6 @@ def _(folder):
     text = json.dumps(transforms_document(CAMERA, images("a.png")))
     (folder / "transforms.json").write_text(text, encoding="utf-16")
     return views(folder)
-
-
-@case(
-    "names",
-    "a name that leaves the folder by a drive and dots",
-    "FormatError",
-    "b.png",
-    "expected a file name",
-    "by its place",
-)
-def _(folder):
-    return views(capture(folder, r"C:\room\a.png", r"C:\room\..\..\b.png", files=()))
 
 
 @case("names", "features of photos and their times in other letters than the model's", "1 masks", "time 7.5")
@@ -424,8 +399,7 @@ def _(folder):
 
 
 def _cameras_json(folder: Path, **more: Any) -> str:
-    entry = {"img_name": "a", "width": W, "height": H, "position": [0, 0, 0], "rotation": np.eye(3).tolist()}
-    write_json(folder / "cameras.json", [{**entry, "fx": 70, "fy": 70, **more}])
+    write_json(folder / "cameras.json", [{"img_name": "a", **ENTRY, **more}])
     write_photo(folder / "images/a.png", W, H)
     found = read_views(folder)
     return f"{len(found)} views, centre {found[0].K[0, 2]:g}"
@@ -608,11 +582,6 @@ def _halves(column: np.ndarray) -> np.ndarray:
 RIGHT = "200 Gaussians, colour 0.20 0.40 0.60, opacity 0.5"
 
 
-@case("colours", "as 3DGS has them, with a byte order mark before the header", RIGHT, "scale 0.05")
-def _(folder):
-    return scene(folder, ply(rows_of(), before=BOM))
-
-
 def _rgb_rows(convert: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
     columns = rows_of()
     for k, name in enumerate(("red", "green", "blue")):
@@ -631,35 +600,6 @@ for _what, _convert in (
     )
 
 
-@case("colours", "f_dc, with red, green and blue of a viewer beside", RIGHT)
-def _(folder):
-    grey = {name: np.full(200, 9, "u1") for name in ("red", "green", "blue")}
-    return scene(folder, ply({**rows_of(), **grey}))
-
-
-@case(
-    "colours",
-    "a comment: color_space linearRGB",
-    "FormatError",
-    "color_space is 'linearrgb'",
-    "linear light",
-    "Export it in sRGB",
-)
-def _(folder):
-    return scene(folder, ply(rows_of(), "color_space linearRGB"))
-
-
-@case("colours", "obj_info: color_space linear", "FormatError", "color_space is 'linear'", "linear light", "Export it")
-def _(folder):
-    content = ply(rows_of(), "color_space linear")
-    return scene(folder, content.replace(b"comment color_space", b"obj_info color_space"))
-
-
-@case("colours", "a comment: color_space sRGB", RIGHT)
-def _(folder):
-    return scene(folder, ply(rows_of(), "color_space sRGB"))
-
-
 for _value, _words in ((1, ("FormatError", "color_space is", "linear light", "Export it in sRGB")), (0, (RIGHT,))):
     case("colours", f"an element color_space of {_value} (SHARP)", *_words)(
         lambda folder, value=_value: scene(
@@ -668,35 +608,11 @@ for _value, _words in ((1, ("FormatError", "color_space is", "linear light", "Ex
     )
 
 
-@case("colours", "activated values of more rows than are judged", "250000 Gaussians", "scale 0.05", "activated")
-def _(folder):
-    return scene(folder, ply({name: np.tile(column, 1250) for name, column in _activated("opacity", *SCALES).items()}))
-
-
-@case("colours", "half floats declared ushort", RIGHT, "scale 0.05")
-def _(folder):
-    return scene(folder, ply({name: _halves(column) for name, column in rows_of().items()}))
-
-
-@case("colours", "float positions, half floats declared short", RIGHT, "scale 0.05")
-def _(folder):
-    columns = rows_of()
-    return scene(folder, ply({n: c if n in ("x", "y", "z") else _halves(c).view("<i2") for n, c in columns.items()}))
-
-
 @case("colours", "half floats, cut into tiles", "200 rows", "near 0.05")
 def _(folder):
     _made(folder / "scene.ply").write_bytes(ply({name: _halves(column) for name, column in rows_of().items()}))
     (source,) = sources_of(folder / "scene.ply")
     return f"{len(source.positions())} rows, near {np.median(source.gaussians(np.arange(200)).scales):.3f}"
-
-
-@case(
-    "colours", "quantised to bytes, by an unknown rule", "FormatError", "whole numbers (uint8)", "quantised", "Export"
-)
-def _(folder):
-    columns = rows_of()
-    return scene(folder, ply({**columns, "opacity": np.full(200, 200, "u1")}))
 
 
 def _activated(*names: str) -> dict[str, np.ndarray]:
@@ -713,19 +629,43 @@ for _what, _names in (("scales and opacities", (*SCALES, "opacity")), ("opacitie
     )
 
 
-@case(
-    "colours", "activated scales of a scene in millimetres, whose exponentials overflow", RIGHT, "scale 5", "activated"
-)
-def _(folder):
-    columns = _activated(*SCALES)
-    return scene(folder, ply(columns | {name: 1000 * columns[name] for name in ("x", "y", "z", *SCALES)}))
+def _in_millimetres(columns: dict[str, np.ndarray], *names: str) -> dict[str, np.ndarray]:
+    return columns | {name: 1000 * columns[name] for name in ("x", "y", "z", *names)}
+
+
+GREY = {name: np.full(200, 9, "u1") for name in ("red", "green", "blue")}
+LARGE = {name: rows_of()[name] + np.log(1000) for name in SCALES}
+IN_SHORTS = {name: _halves(column).view("<i2") for name, column in rows_of().items() if name not in "xyz"}
+OBJ_INFO = ply(rows_of(), "color_space linear").replace(b"comment color_space", b"obj_info color_space")
+MANY = {name: np.tile(column, 1250) for name, column in _activated("opacity", *SCALES).items()}
+LINEAR_LIGHT = ("linear light", "Export it in sRGB")
+for _what, _content, *_words in (
+    ("as 3DGS has them, with a byte order mark before the header", ply(rows_of(), before=BOM), RIGHT, "scale 0.05"),
+    ("f_dc, with red, green and blue of a viewer beside", ply(rows_of() | GREY), RIGHT),
+    (
+        "a comment: color_space linearRGB", ply(rows_of(), "color_space linearRGB"), "FormatError",
+        "color_space is 'linearrgb'", *LINEAR_LIGHT,
+    ),
+    ("obj_info: color_space linear", OBJ_INFO, "FormatError", "color_space is 'linear'", *LINEAR_LIGHT),
+    ("a comment: color_space sRGB", ply(rows_of(), "color_space sRGB"), RIGHT),
+    ("activated values of more rows than are judged", ply(MANY), "250000 Gaussians", "scale 0.05", "activated"),
+    ("half floats declared ushort", ply({n: _halves(c) for n, c in rows_of().items()}), RIGHT, "scale 0.05"),
+    ("float positions, half floats declared short", ply(rows_of() | IN_SHORTS), RIGHT, "scale 0.05"),
+    (
+        "quantised to bytes, by an unknown rule", ply(rows_of() | {"opacity": np.full(200, 200, "u1")}), "FormatError",
+        "whole numbers (uint8)", "quantised", "Export",
+    ),
+    (
+        "activated scales of a scene in millimetres, whose exponentials overflow",
+        ply(_in_millimetres(_activated(*SCALES), *SCALES)), RIGHT, "scale 5", "activated",
+    ),
+):  # fmt: skip
+    case("colours", _what, *_words)(lambda folder, content=_content: scene(folder, content))
 
 
 @case("colours", "a scene in millimetres as it should be", RIGHT, "scale 5", absent=("activated",))
 def _(folder):
-    columns = rows_of()
-    shift = {name: columns[name] + np.log(1000) for name in SCALES}
-    return scene(folder, ply(columns | shift | {name: 1000 * columns[name] for name in ("x", "y", "z")}))
+    return scene(folder, ply(_in_millimetres(rows_of() | LARGE)))
 
 
 @case("colours", "activated, cut into tiles", "near 0.07", "0.049", "activated")
@@ -923,7 +863,7 @@ for _what, _content in (
     case("else", f"SPZ {_what}", "24 Gaussians")(lambda folder, content=_content: scene(folder, content, "scene.spz"))
 
 
-@case("else", "SPZ with something else behind", "FormatError", "scene.spz", "gzip stream is damaged", "header")
+@case("else", "SPZ with something else behind", "FormatError", "scene.spz", "gzip stream is damaged", "gzipped")
 def _(folder):
     return scene(folder, spz_bytes(G, 3) + b"something else", "scene.spz")
 

@@ -1,75 +1,86 @@
-"""Writing a scene and what was found in it as OpenUSD text (`.usda`), without a library.
+"""Writing a scene and what was found in it as OpenUSD, text or binary, by its own library.
 
 The Gaussians are one prim of the schema ParticleField3DGaussianSplat (OpenUSD 26.03) in the coordinates of the scene;
-the prim above it turns them so that up is +Y. Objects, groups, matches and annotations are prims beside it. Numbers
-have the nine digits that float32 takes, so what is read back is what was written, to the bit.
+the prim above it turns them so that up is +Y. Objects, groups, matches and annotations are prims beside it. What is
+read back is what was written, to the bit.
 """
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
-from itertools import chain
+import tempfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..base.arrays import Array, Float32
-from ..errors import InputError
+from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.labelled import Annotation, LabelledScene, Thing
 from .activation import refuse_unwritable
 from .axes import standing_up
 from .json_files import is_text
-from .replacing import replacing
+from .replacing import take_over
+from .usd import HARMONICS, SCHEMA, openusd
 
-BLOCK_ROWS = 1 << 12  # of an array that are made text at once
+BLOCK_ROWS = 1 << 12  # whose extent is found at once
 SUPPORT_SIGMAS = 3.0  # of the schema's kernel
 MAX_NAME_CHARACTERS = 64  # of a prim
 ROOT, SPLAT = "scene", "gaussians"
-VERTEX = 'interpolation = "vertex"'
+_ARRAYS = {
+    "point3f[]": "Vec3fArray", "float3[]": "Vec3fArray", "quatf[]": "QuatfArray", "float[]": "FloatArray",
+    "int[]": "IntArray",
+}  # fmt: skip
+_TO_XYZW = [1, 2, 3, 0]  # of quaternions, whose real part the library keeps last
 
 
-class Column(NamedTuple):
-    """An array of the Gaussians' prim: its type and name in USD, its rows, and its metadata."""
-
-    kind: str
-    name: str
-    rows: Array
-    metadata: str = ""
-
-
-def write_usda(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
-    """Write a scene as OpenUSD text, some thousand rows at a time.
+def write_usd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
+    """Write a scene as OpenUSD text where `path` ends in .usda, else binary: .usdc, or .usdz with one such layer.
 
     Raises: InputError: no Gaussians, or some that no file could give back; a name that is no text; `path` exists and
-    not `overwrite`.
+    not `overwrite`. MissingExtraError: no library.
     """
-    columns = columns_of(scene)
-    with replacing(path, overwrite) as file:
-        for piece in layer_text(scene, chain.from_iterable(map(_column_text, columns))):
-            file.write(piece.encode())
+    pxr = openusd()
+    layer, suffix = _layer_of(pxr, scene), path.suffix.lower()
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder, f"{ROOT}{'.usda' if suffix == '.usda' else '.usdc'}")
+        if not layer.Export(str(made)):
+            raise FormatError(f"OpenUSD could not write {path.name}")
+        if suffix == ".usdz":
+            with pxr.Sdf.ZipFileWriter.CreateNew(f"{made}.usdz") as writer:
+                writer.AddFile(str(made), made.name)
+            made = Path(f"{made}.usdz")
+        take_over(made, path, overwrite)
 
 
-def columns_of(scene: LabelledScene) -> list[Column]:
-    """Return the arrays of the Gaussians' prim. Raises: InputError: as `write_usda`."""
+def _layer_of(pxr: Any, scene: LabelledScene) -> Any:
+    """Return an open layer: its text without arrays is parsed by the library, and the arrays are set."""
     gaussians = scene.gaussians
     refuse_unwritable(gaussians)
-    coefficients = gaussians.sh.reshape(-1, 3)
-    size = f"elementSize = {gaussians.sh.shape[1]}"
-    columns = [
-        Column("point3f[]", "positions", gaussians.means),
-        Column("quatf[]", "orientations", gaussians.quats),
-        Column("float3[]", "scales", gaussians.scales),
-        Column("float[]", "opacities", gaussians.opacities),
-        Column("float3[]", "radiance:sphericalHarmonicsCoefficients", coefficients, f"{size}\n{VERTEX}"),
-        Column("float3[]", "extent", extent_of(gaussians)),
-    ]
-    numbers = {"object_id": ("int[]", scene.object_numbers), "relevancy": ("float[]", scene.relevancy)}
-    columns += [
-        Column(kind, f"primvars:{name}", rows, VERTEX) for name, (kind, rows) in numbers.items() if rows is not None
-    ]
-    return columns
+    columns = {
+        "point3f[] positions": gaussians.means,
+        "quatf[] orientations": gaussians.quats[:, _TO_XYZW],
+        "float3[] scales": gaussians.scales,
+        "float[] opacities": gaussians.opacities,
+        f"float3[] {HARMONICS}": gaussians.sh.reshape(-1, 3),
+        "float3[] extent": extent_of(gaussians),
+    }
+    if scene.object_numbers is not None:
+        columns["int[] primvars:object_id"] = scene.object_numbers
+    if scene.relevancy is not None:
+        columns["float[] primvars:relevancy"] = scene.relevancy
+    layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString(_layer_text(scene, columns))
+    for declared, rows in columns.items():
+        kind, name = declared.split()
+        attribute = layer.GetAttributeAtPath(f"/{ROOT}/{SPLAT}.{name}")
+        attribute.default = getattr(pxr.Vt, _ARRAYS[kind]).FromNumpy(np.ascontiguousarray(rows))
+        if ":" in name:
+            attribute.SetInfo("interpolation", "vertex")
+        if name == HARMONICS:
+            attribute.SetInfo("elementSize", gaussians.sh.shape[1])
+    return layer
 
 
 def extent_of(gaussians: Gaussians) -> Float32[Array, "2 3"]:
@@ -84,62 +95,53 @@ def extent_of(gaussians: Gaussians) -> Float32[Array, "2 3"]:
     return np.stack([low, high]).astype(np.float32)
 
 
-def layer_text(scene: LabelledScene, columns: Iterable[str]) -> Iterator[str]:
-    """Yield the layer. columns: text of the arrays of the Gaussians' prim, which a library may set itself."""
-    gaussians = scene.gaussians
-    yield f'#usda 1.0\n(\n    defaultPrim = "{ROOT}"\n    doc = "written by drsplat"\n'
-    yield '    metersPerUnit = 1\n    upAxis = "Y"\n)\n\n'
-    yield (
-        f'def Xform "{ROOT}" (\n    displayName = {quoted(scene.title)}\n    kind = "component"\n)\n'
-        f"{{\n    custom double3 drsplat:up = {_tuple(scene.up)}\n"
-        f"    custom string drsplat:query = {quoted(scene.query)}\n"
-        f"    custom string drsplat:encoder = {quoted(scene.encoder)}\n"
-        f"    matrix4d xformOp:transform = {_matrix(standing_up(np.array(scene.up, np.float64)))}\n"
-        '    uniform token[] xformOpOrder = ["xformOp:transform"]\n\n'
-        f'    def ParticleField3DGaussianSplat "{SPLAT}"\n    {{\n'
-        f"        custom double3 drsplat:origin = {_tuple(gaussians.origin)}\n"
-        f"        custom bool drsplat:antialiased = {str(gaussians.antialiased).lower()}\n"
-        f"        uniform int radiance:sphericalHarmonicsDegree = {gaussians.sh_degree}\n"
-        '        uniform token sortingModeHint = "cameraDistance"\n'
-        f"        double3 xformOp:translate = {_tuple(gaussians.origin)}\n"
-        '        uniform token[] xformOpOrder = ["xformOp:translate"]\n'
-    )
-    yield from columns
-    yield "    }\n"
-    yield from _scope("groups", "group", scene.groups)
-    yield from _scope("objects", "object", scene.things)
-    yield from _scope("matches", "match", scene.matches)
-    yield from _notes(scene.annotations)
-    yield "}\n"
+def _layer_text(scene: LabelledScene, arrays: Iterable[str]) -> str:
+    """Return the layer. arrays: type and name of those of the Gaussians' prim, whose values the library sets."""
+    gaussians, declared = scene.gaussians, "\n        ".join(arrays)
+    kinds = {
+        "groups": ("group", scene.groups),
+        "objects": ("object", scene.things),
+        "matches": ("match", scene.matches),
+    }
+    scopes = [
+        _scope(name, [_thing_text(kind, *one) for one in enumerate(some)]) for name, (kind, some) in kinds.items()
+    ]
+    notes = _scope("annotations", [_annotation_text(*each) for each in enumerate(scene.annotations)])
+    return f"""#usda 1.0
+(
+    defaultPrim = "{ROOT}"
+    doc = "written by drsplat"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+
+def Xform "{ROOT}" (
+    displayName = {_quoted(scene.title)}
+    kind = "component"
+)
+{{
+    custom double3 drsplat:up = {_tuple(scene.up)}
+    custom string drsplat:query = {_quoted(scene.query)}
+    custom string drsplat:encoder = {_quoted(scene.encoder)}
+    matrix4d xformOp:transform = {_matrix(standing_up(np.array(scene.up, np.float64)))}
+    uniform token[] xformOpOrder = ["xformOp:transform"]
+
+    def {SCHEMA} "{SPLAT}"
+    {{
+        custom double3 drsplat:origin = {_tuple(gaussians.origin)}
+        custom bool drsplat:antialiased = {str(gaussians.antialiased).lower()}
+        uniform int radiance:sphericalHarmonicsDegree = {gaussians.sh_degree}
+        uniform token sortingModeHint = "cameraDistance"
+        double3 xformOp:translate = {_tuple(gaussians.origin)}
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+        {declared}
+    }}
+{"".join(scopes)}{notes}}}
+"""
 
 
-def _column_text(column: Column) -> Iterator[str]:
-    """Yield `type name = [...]` with its metadata, some thousand rows at a time."""
-    width = 1 if column.rows.ndim == 1 else column.rows.shape[1]
-    number = "%d" if column.rows.dtype.kind in "iu" else "%.9g"
-    row = number if width == 1 else f"({', '.join([number] * width)})"
-    yield f"        {column.kind} {column.name} = ["
-    for begin in range(0, len(column.rows), BLOCK_ROWS):
-        block = column.rows[begin : begin + BLOCK_ROWS]
-        yield (", " if begin else "") + ", ".join([row] * len(block)) % tuple(block.ravel().tolist())
-    metadata = column.metadata.replace("\n", "\n            ")
-    yield f"] (\n            {metadata}\n        )\n" if metadata else "]\n"
-
-
-def _scope(name: str, kind: str, things: tuple[Thing, ...]) -> Iterator[str]:
-    """Yield a prim that holds the boxes of things as cubes that are only drawn as guides."""
-    yield from _children(name, things, lambda number, thing: _thing_text(kind, number, thing))
-
-
-def _notes(annotations: tuple[Annotation, ...]) -> Iterator[str]:
-    yield from _children("annotations", annotations, _annotation_text)
-
-
-def _children(name: str, items: tuple[Any, ...], text_of: Callable[..., str]) -> Iterator[str]:
-    if items:
-        yield f'\n    def Scope "{name}"\n    {{\n'
-        yield from (text_of(number, item) for number, item in enumerate(items))
-        yield "    }\n"
+def _scope(name: str, prims: Sequence[str]) -> str:
+    return f'\n    def Scope "{name}"\n    {{\n{"".join(prims)}    }}\n' if prims else ""
 
 
 def _thing_text(kind: str, number: int, thing: Thing) -> str:
@@ -185,7 +187,7 @@ def _box_lines(center: Array, axes: Array, extent: Array) -> list[str]:
 def _prim_text(schema: str, kind: str, number: int, name: str, lines: list[str]) -> str:
     body = "\n            ".join([f'custom string drsplat:kind = "{kind}"', *lines])
     return (
-        f'        def {schema} "{prim_name(name, number)}" (\n            displayName = {quoted(name)}\n        )\n'
+        f'        def {schema} "{prim_name(name, number)}" (\n            displayName = {_quoted(name)}\n        )\n'
         f"        {{\n            {body}\n        }}\n"
     )
 
@@ -196,7 +198,7 @@ def prim_name(name: str, number: int) -> str:
     return f"{letters or 'thing'}_{number}" if not letters[:1].isdigit() else f"_{letters}_{number}"
 
 
-def quoted(text: str) -> str:
+def _quoted(text: str) -> str:
     """Return text in quotes, on one line. Raises: InputError: half a character, which no file can hold."""
     if not is_text(text):
         raise InputError(f"expected a name that can be written, got {text!a:.80}")
