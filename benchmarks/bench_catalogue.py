@@ -20,7 +20,7 @@ import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,14 +31,17 @@ from machine import arguments
 from scipy.spatial.transform import Rotation
 
 from drsplat import Query
+from drsplat.formats.replacing import claimed_output
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
-from drsplat.query.catalogue import Catalogue, Conditions, table
-from drsplat.query.catalogue.codes import Search, nearest_objects
-from drsplat.query.catalogue.record import read_record
-from drsplat.query.catalogue.snapshot import ROW_ID, batch, current
+from drsplat.query import Match
+from drsplat.query.catalogue import Catalogue, Conditions, SceneEntry
+from drsplat.query.catalogue.changes import replace_scene
+from drsplat.query.catalogue.nearest import ANYWHERE, Search, nearest_objects
+from drsplat.query.catalogue.rows import scene_arrays
+from drsplat.query.catalogue.snapshot import Record
 from drsplat.query.sketch import Packed, Sketch
 
-KINDS, AT_ONCE, TOP = 5000, 25, 10
+KINDS, TOP = 5000, 10
 OFTEN = (38, 64, 75, 48)  # objects of 1 to 4 descriptors, of the room of `drsplat demo` and of a phone's capture
 MARKED = 50  # objects of a scene that comes and goes
 RANKED = 256  # objects that a query ranks
@@ -58,13 +61,12 @@ class Simulated:
             return np.full(number, self.descriptors)
         return self.rng.choice(4, number, p=np.array(OFTEN) / sum(OFTEN)) + 1
 
-    def scenes(self, names: list[str]) -> object:
-        """The rows of some scenes, as the table takes them."""
-        objects = self.each * len(names)
-        counts = self.counts(objects)
-        vectors = self.drawn.masks(np.repeat(self.kinds[self.rng.integers(0, KINDS, objects)], counts, axis=0))
-        parts = np.split(vectors, np.cumsum(counts)[:-1])
-        return rows_of(names, parts, self.each, lambda: self.rng.bytes(self.thumbnail) if self.thumbnail else None)
+    def scene(self) -> tuple[list[np.ndarray], list[bytes]]:
+        """Descriptors and thumbnails of the objects of a scene."""
+        counts = self.counts(self.each)
+        vectors = self.drawn.masks(np.repeat(self.kinds[self.rng.integers(0, KINDS, self.each)], counts, axis=0))
+        thumbnails = [self.rng.bytes(self.thumbnail) for _ in range(self.each)]
+        return np.split(vectors, np.cumsum(counts)[:-1]), thumbnails
 
     def queries(self, count: int) -> np.ndarray:
         kinds = self.kinds[self.rng.choice(KINDS, count, replace=False)]
@@ -72,33 +74,22 @@ class Simulated:
         return np.concatenate([self.drawn.texts(kinds[:half]), self.drawn.masks(kinds[half:])])
 
 
-def rows_of(names: list[str], parts: list[np.ndarray], each: int, thumbnail: object) -> object:
-    """`each` objects of each scene, and the scene's own row."""
-    empty = np.empty((0, CLIP.dim), np.float32)
-    descriptors, numbers, scenes = [], [], []
-    for at, name in enumerate(names):
-        descriptors += [*parts[at * each : (at + 1) * each], empty]
-        numbers += [*range(each), -1]
-        scenes += [name] * (each + 1)
-    rows = len(numbers)
-    rng = np.random.default_rng(rows)
-    place, extent = rng.uniform(-5, 5, (3, rows)).tolist(), rng.uniform(0.05, 1, (rows, 3)).tolist()
-    axes = Rotation.random(rows, rng).as_matrix().reshape(rows, 9).tolist()
-    columns = {
-        "scene": scenes, "tile": [0] * rows, "object_id": numbers, "field": ["0" * 32] * rows,
-        "added": [datetime.now(UTC)] * rows, **dict(zip("xyz", place, strict=True)), "sure": rng.random(rows).tolist(),
-        "num_gaussians": rng.integers(40, 5000, rows).tolist(), "num_views": rng.integers(2, 40, rows).tolist(),
-        "photo": [f"frame_{number:05d}.jpg" for number in rng.integers(0, 200, rows)],
-        "mask": rng.integers(0, 60, rows).tolist(), "name": [f"word {number}" for number in rng.integers(0, 300, rows)],
-        "axes": axes, "extent": extent,
-        "thumbnail": [thumbnail() if number >= 0 else None for number in numbers],  # type: ignore[operator]
-        "sketch": [
-            data
-            for at in range(len(names))
-            for data in [*[None] * each, sketch(parts[at * each : (at + 1) * each]).to_bytes()]
-        ],
-    }  # fmt: skip
-    return batch(columns, descriptors, CLIP)
+def add(path: Path, name: str, parts: list[np.ndarray], thumbnails: list[bytes]) -> None:
+    """Add a scene of objects of these descriptors."""
+    number = len(parts)
+    rng = np.random.default_rng(number)
+    centers, extents = rng.uniform(-5, 5, (number, 3)), rng.uniform(0.05, 1, (number, 3))
+    axes, gaussians = Rotation.random(number, rng).as_matrix(), np.zeros(5, np.int64)
+    matches = [Match(centers[k], axes[k], extents[k], 1.0, gaussians, object_id=k) for k in range(number)]
+    records = [
+        Record(0, int(rng.integers(40, 5000)), int(rng.integers(2, 40)), rng.random(), None, f"word {k}",
+               f"frame_{k:05d}.jpg", k % 60)
+        for k in range(number)
+    ]  # fmt: skip
+    arrays = scene_arrays(matches, parts, CLIP.dim, records, thumbnails, sketch(parts).to_bytes())
+    entry = SceneEntry(name, number, number, datetime.now(UTC), "0" * 32, "", "unknown")
+    with claimed_output(path, 60.0):
+        replace_scene(path, entry, arrays, CLIP)
 
 
 def sketch(parts: list[np.ndarray]) -> Sketch:
@@ -111,8 +102,8 @@ def sketch(parts: list[np.ndarray]) -> Sketch:
     return Sketch(features, np.full(len(vectors), 40, np.int32), numbers, shown, words, solid, {})
 
 
-def marked(name: str, vector: np.ndarray) -> object:
-    return rows_of([name], [vector[None]] * MARKED, MARKED, lambda: None)
+def add_marked(path: Path, name: str, vector: np.ndarray) -> None:
+    add(path, name, [vector[None]] * MARKED, [b""] * MARKED)
 
 
 @contextmanager
@@ -123,32 +114,20 @@ def timed(what: str) -> Iterator[None]:
 
 
 def filled(path: Path, simulated: Simulated, scenes: int) -> Catalogue:
-    """With what an earlier run has left of it."""
-    known = current(path)
-    there = 0 if known is None else known.count("object_id = -1 AND scene LIKE 'scene %'")
+    there = len(Catalogue.open(path).scenes())
     print(f"{there} scenes are there already")
-    for begin in range(there, scenes, AT_ONCE):
-        names = [f"scene {number:05d}" for number in range(begin, min(begin + AT_ONCE, scenes))]
-        known = current(path)
-        if known is None:
-            table.replace_scene(path, names[0], simulated.scenes(names), CLIP)
-        else:
-            known.table.add(simulated.scenes(names))
-    if there < scenes:
-        table.record(path)
+    for number in range(there, scenes):
+        add(path, f"scene {number:05d}", *simulated.scene())
     return Catalogue.open(path)
 
 
 def told(path: Path, catalogue: Catalogue) -> None:
-    """Sizes without the files of older versions, which are deleted in time."""
-    record = read_record(path)
-    table_bytes = sum(file.num_bytes for file in record.files.values()) if record else 0
-    indexed = sum(file.stat().st_size for file in (path / "codes").rglob("*") if file.is_file())
-    size = table_bytes + indexed
+    sizes = {file.name: file.stat().st_size for file in path.glob("*.safetensors")}
+    size, indexed = sum(sizes.values()), sum(size for name, size in sizes.items() if name.startswith("codes"))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(
         f"{len(catalogue):,} objects: {size / 1e9:.2f} GB, {size / len(catalogue):,.0f} bytes an object, of which the "
-        f"codes {indexed / len(catalogue):,.0f}; this process has held {peak:.1f} GB", flush=True
+        f"codes {indexed / len(catalogue):,.0f}, in {len(sizes)} files; this process has held {peak:.1f} GB", flush=True
     )  # fmt: skip
 
 
@@ -195,40 +174,35 @@ def recall(found: list[list[tuple]], exact: list[list[tuple]]) -> str:
     )
 
 
-def ranked(catalogue: Catalogue, queries: np.ndarray, find: Callable[[np.ndarray, int], list[int]], said: str) -> None:
-    """How many of the first 10 and the first 256 are found, in milliseconds of processor."""
-    snapshot, half = catalogue._snapshot(), len(queries) // 2
-    shares = []
+def ranked(catalogue: Catalogue, queries: np.ndarray) -> None:
+    """How many of the first 10 and the first 256 are found by codes, in milliseconds of processor."""
+    snapshot, half, shares = catalogue._snapshot(coded=True), len(queries) // 2, []
     for count in (TOP, RANKED):
-        exact = [snapshot.nearest(query, "", count)[ROW_ID].to_pylist() for query in queries]
-        find(queries[0], RANKED)
+        exact = [first(snapshot, query, count, True) for query in queries]
+        first(snapshot, queries[0], RANKED, False)
         cpu = time.process_time()
-        found = [find(query, RANKED)[:count] for query in queries]
+        found = [first(snapshot, query, RANKED, False)[:count] for query in queries]
         took = (time.process_time() - cpu) / len(queries) * 1000
         each = [len(set(a) & set(b)) / count for a, b in zip(found, exact, strict=True)]
         shares += [np.mean(each[:half]), np.mean(each[half:])]
     print(
-        f"{said}: of the first {TOP} words {shares[0]:.3f}, pictures {shares[1]:.3f}; of {RANKED} {shares[2]:.3f}, "
+        f"by codes: of the first {TOP} words {shares[0]:.3f}, pictures {shares[1]:.3f}; of {RANKED} {shares[2]:.3f}, "
         f"{shares[3]:.3f}; {took:.0f} ms of processor", flush=True
     )  # fmt: skip
 
 
-def by_codes(catalogue: Catalogue) -> Callable[[np.ndarray, int], list[int]]:
-    snapshot = catalogue._snapshot()
-    codes = catalogue._codes.of(snapshot)
-
-    def find(query: np.ndarray, count: int) -> list[int]:
-        rows: list[int] = nearest_objects(snapshot, codes, Search(query, "", count, 0)).rows[ROW_ID].to_pylist()
-        return rows
-
-    return find
+def first(snapshot: object, query: np.ndarray, count: int, exact: bool) -> list[int]:
+    """The rows that are nearest, best first."""
+    rows, described, _ = nearest_objects(snapshot, Search(query, ANYWHERE, count, 0), exact)
+    order: list[int] = rows[np.argsort(-described.cosines(query), kind="stable")].tolist()
+    return order
 
 
 def under_load(path: Path, catalogue: Catalogue, clients: int, seconds: float) -> None:
     """Threads ask for what one scene has and others have at times, while one writer changes these."""
     vector = -catalogue._surroundings(catalogue._snapshot()).usual.mean(axis=0)  # like nothing that is there
     vector = (vector / np.linalg.norm(vector)).astype(np.float32)
-    table.replace_scene(path, "stays", marked("stays", vector), CLIP)
+    add_marked(path, "stays", vector)
     done, times, wrong, writes = threading.Event(), [], [], []
 
     def ask() -> None:
@@ -248,8 +222,7 @@ def under_load(path: Path, catalogue: Catalogue, clients: int, seconds: float) -
                 catalogue.remove(name)
                 writes.append(("remove", time.perf_counter() - start))
             else:
-                table.replace_scene(path, name, marked(name, vector), CLIP)
-                table.tidy(path)
+                add_marked(path, name, vector)
                 writes.append(("add", time.perf_counter() - start))
             number += 1
 
@@ -294,7 +267,7 @@ def main() -> None:
         print(recall([found[at] for at in ends], exact))
         measured(catalogue, queries[:50], False, Conditions(scenes=("scene 00001",)), "one scene")
         listed(path, simulated, folder / "words.safetensors")
-        ranked(catalogue, some, by_codes(catalogue), "by codes")
+        ranked(catalogue, some)
         under_load(path, catalogue, given.clients, given.seconds)
     finally:
         if given.keep is None:

@@ -1,8 +1,7 @@
 """What the votes of photos are worth: lists, clicks and answers before and after pieces are joined that photos outline.
 
     python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER [--masks whole] [--clip FOLDER]
-        [--voices or --only-voices] [--pictures FOLDER]
-    python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER --surfaces
+        [--pictures FOLDER]
 
 ROOM: one of world/scenes. CAPTURE: a real capture with outlines (`tests/support/*_outlines.json`) or labels, and the
 scene that was trained on it. --masks whole: true masks of rooms, and simulated ones of whole things for captures,
@@ -14,40 +13,27 @@ IoU: mean over things of that with the best object, listed or not. Click: mean o
 what a click into the middle of the thing finds, in up to CLICKED photos. Select: mean IoU of words by genuine vectors,
 --clip as in `study_answers.py`, a fifth of the masks showing something else. FOLDER keeps what is registered; pictures
 show the joined things, their pieces in colours.
-
---voices: after each place the same, voted, with a voice left out or added; --only-voices: nothing else. Features are
-those of the built-in encoder, which keep pieces apart; depth between pieces is what joins them by relief
-(docs/grouping.md); of the two orders of merging, either can do without the other; depth in outlines weakens those
-where the scene has no step, FLAT_SHARE, which changes their order too.
-
---surfaces: which listed objects are said to be surfaces, by what most of their Gaussians are. Right are SURFACES. The
-last column has the listed objects of 500 Gaussians or more that are surfaces, by what they are, and in brackets those
-that are said to be. "-" is what nobody outlined.
 """
 
 import argparse
 import sys
-from collections import Counter
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from heapq import heapify, heappop, heappush
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
-from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.machine import describe as describe_machine
 from benchmarks.suite import trials
-from benchmarks.suite.answers import answered
-from benchmarks.suite.outlines import iou, outlines_path
+from benchmarks.suite.answers import MASKS, answered, kind_of, place_of
+from benchmarks.suite.outlines import iou
 from benchmarks.suite.outlines import middle as middle_of
-from benchmarks.suite.places import SIDE, Place, capture, room
+from benchmarks.suite.places import SIDE, Place
 from benchmarks.suite.trials import Means
 from benchmarks.suite.vocabularies import KINDS, Clip
 from drsplat import EncoderIdentity, LanguageField, MiniEncoder, Query, Scene, View, load_image, read_views
@@ -59,28 +45,19 @@ from drsplat.field.objects.agreed import agreed
 from drsplat.field.objects.choosing import Tree, _owners
 from drsplat.field.objects.describing import MIN_SHOWN_SHARE, describe, node_weights
 from drsplat.field.objects.finding import find_tree
-from drsplat.field.objects.surfaces import surfaces
 from drsplat.field.objects.voting import Vote, with_voted
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.photos.embedding.keeping import mask_rows
 from drsplat.photos.embedding.voting import _Electorate
 from drsplat.photos.models.graph import GraphSegmenter
-from drsplat.scene.masks.region_tree import RegionTree
 from drsplat.scene.masks.selection import mask_maps
-from drsplat.scene.parted import middle
 
 LEVEL = 0.5  # of IoU, from which on an object is a thing
 VOTES_HEAD = "| today/voted | P | R | listed | IoU | click | select |\n|---|--:|--:|--:|--:|--:|--:|"
-SURFACE_HEAD = "| place | surfaces | right, of known | what they are | surfaces there (said) |\n|---|--:|--:|---|---|"
 CLICKED, MIN_PIXELS = 4, 100  # photos of a thing that are clicked into; pixels that show it there
 WRONG = 0.2  # of the masks, which show something else than their thing
-FLAT_SHARE, STEP = 0.4, 0.04  # of an outline's strength that is left without a step of depth; of the depth
 VOID = 0.5  # of an object's Gaussians: with fewer in known photos it counts neither way
 COLORS = np.random.default_rng(7).integers(40, 256, (64, 3))
-
-
-SURFACES = ("wall", "floor", "rug", "table", "quilt", "lawn", "island")
-MANY = 500  # Gaussians of an object that is more than a leg of a table
 
 
 class Found(NamedTuple):
@@ -139,30 +116,6 @@ def compared(place: Place, found: Listing) -> Found:
     return Found(right / max(counted.sum(), 1), right / len(numbers), int(found.listed.sum()), ious.max(0).mean())
 
 
-def surface_row(place: Place) -> tuple[str, ...]:
-    ids = np.flatnonzero(np.diff(place.evidence.weights.indptr))
-    evidence = place.evidence.rows(ids)
-    found = listing(find_tree(evidence, place.gaussians, ids.astype(np.uint32), place.cameras), evidence, ids)
-    names = {number: name for name, numbers in place.things.items() for number in numbers}
-    called = [names.get(int(np.bincount(place.labels[some] + 1).argmax()) - 1, "-") for some in found.ids]
-    object_of = np.full(len(place.gaussians), -1, np.int32)
-    for number, some in enumerate(found.ids):
-        object_of[some] = number
-    low, high = middle(place.gaussians, (0.01, 0.99))
-    size = float(np.linalg.norm(high - low))
-    flat = np.array(surfaces(object_of, len(found.ids), place.gaussians, size)) & found.listed
-    said = Counter(name for name, is_flat in zip(called, flat, strict=True) if is_flat)
-    large = found.listed & np.array([len(some) >= MANY for some in found.ids])
-    there = Counter(name for name, counts in zip(called, large, strict=True) if counts and name in SURFACES)
-    both = Counter(name for name, counts in zip(called, large & flat, strict=True) if counts)
-    known = sum(said.values()) - said["-"]
-    return (
-        place.name, str(sum(said.values())), f"{sum(said[name] for name in SURFACES)} of {known}",
-        ", ".join(f"{count} {name}" for name, count in said.most_common()),
-        ", ".join(f"{count} {name} ({both[name]})" for name, count in there.most_common()),
-    )  # fmt: skip
-
-
 def features_of(place: Place, folder: Path, kept: Path) -> np.ndarray:
     """Embeddings by the built-in encoder of the masks that a place was registered with."""
     path = kept / f"{place.inputs}.features.npy"
@@ -180,130 +133,31 @@ def features_of(place: Place, folder: Path, kept: Path) -> np.ndarray:
     return np.concatenate(rows)
 
 
-def flat(vote: Vote) -> Vote:
-    """Every outline as strong as any other."""
-    return vote._replace(tree=replace(vote.tree, strengths=0.8 * vote.tree.lengths))
-
-
-def learned(vote: Vote) -> Vote:
-    """Candidates of the learned order alone."""
-    return vote._replace(tree=replace(vote.tree, pairs=learned_pairs(vote.tree)))
-
-
-def outlined(vote: Vote) -> Vote:
-    """Candidates of the order of outlines alone, the weakest first."""
-    return vote._replace(tree=replace(vote.tree, pairs=order_of_outlines(vote.tree)))
-
-
-def learned_pairs(tree: RegionTree) -> np.ndarray:
-    """The unions of the first tree: all of a photo hangs together."""
-    return tree.pairs[: len(tree) - 1]
-
-
-def both(vote: Vote, strengths: RegionTree) -> Vote:
-    """Candidates of the learned order and of that by the strengths of another tree of the same regions, one vote."""
-    own, pairs = order_of_outlines(strengths), learned_pairs(vote.tree)
-    own = np.where(own < len(vote.tree), own, own + len(pairs))
-    return vote._replace(tree=replace(strengths, pairs=np.concatenate([pairs, own]).astype(np.int32)))
-
-
-def order_of_outlines(tree: RegionTree) -> np.ndarray:
-    """(k, 2) nodes that merge, the pair with the weakest outline first."""
-    beside: dict[int, dict[int, np.ndarray]] = {region: {} for region in range(len(tree))}
-    for (one, other), *border in zip(tree.touching.tolist(), tree.lengths, tree.strengths, strict=True):
-        beside[one][other] = beside[other][one] = np.array(border)
-    waiting = [
-        (strength / max(length, 1), one, other)
-        for one, others in beside.items()
-        for other, (length, strength) in others.items()
-        if one < other
-    ]
-    heapify(waiting)
-    pairs: list[tuple[int, int]] = []
-    while waiting:
-        _, one, other = heappop(waiting)
-        if one not in beside or other not in beside:
-            continue
-        new = len(tree) + len(pairs)
-        pairs.append((one, other))
-        borders: dict[int, np.ndarray] = {}
-        for some in (beside.pop(one), beside.pop(other)):
-            for region, border in some.items():
-                borders[region] = borders.get(region, 0) + border
-        beside[new] = {region: border for region, border in borders.items() if region in beside}
-        for region, border in beside[new].items():
-            beside[region] = {at: value for at, value in beside[region].items() if at in beside} | {new: border}
-            heappush(waiting, (border[1] / max(border[0], 1), region, new))
-    return np.array(pairs, np.int32).reshape(-1, 2)
-
-
-def with_depth(tree: RegionTree, view: View, place: Place) -> RegionTree:
-    """Outlines at FLAT_SHARE of their strength where the scene's depth has no step of STEP."""
-    labels, (height, width) = tree.labels, tree.labels.shape
-    ones = np.ones((len(place.gaussians), 1), np.float32)
-    depth = render_channels(splat_arrays(place.gaussians), view.resized(width, height), ones).depth
-    logs = ndimage.median_filter(np.log(np.maximum(np.where(depth > 0, depth, np.median(depth)), 1e-3)), 5)
-    bent = [abs(np.roll(logs, 4, axis) + np.roll(logs, -4, axis) - 2 * logs) for axis in (0, 1)]
-    steps = ndimage.maximum_filter(np.clip(np.maximum(*bent) / STEP, 0, 1), 5)
-    count, sums = len(tree), np.zeros((2, len(tree) ** 2))
-    for axis in (0, 1):
-        one, other = (np.take(labels, range(start, labels.shape[axis] - 1 + start), axis) for start in (0, 1))
-        key = np.minimum(one, other).astype(np.int64) * count + np.maximum(one, other)
-        step = np.take(steps, range(labels.shape[axis] - 1), axis)
-        sums += [np.bincount(key.ravel(), weights, count**2) for weights in (None, step.ravel())]
-    pixels, stepped = sums[:, tree.touching.min(1) * np.int64(count) + tree.touching.max(1)]
-    share = FLAT_SHARE + (1 - FLAT_SHARE) * stepped / np.maximum(pixels, 1)
-    return replace(tree, strengths=tree.strengths * share)
-
-
 class Study(NamedTuple):
-    """A place with its photos' votes. evidence: of `ids`, with features where there are any. views: of the votes."""
+    """A place with its photos' votes. evidence: of `ids`, with features where there are any."""
 
     place: Place
     ids: np.ndarray
     evidence: Evidence
     votes: list[Vote]
-    views: list[View]
 
     @classmethod
     def of(cls, place: Place, folder: Path, kept: Path, features: bool) -> "Study":
         ids = np.flatnonzero(np.diff(place.evidence.weights.indptr))
         plain = place.evidence.rows(ids)
         by_name = {view.name: view for view in read_views(folder)}
-        views = [replace(by_name[name], distortion=None) for name in plain.masks.view_names]
         own = replace(plain, embeddings=features_of(place, folder, kept)) if features else plain
         given = [by_name[name] for name in plain.masks.view_names]
         rows = Rows(ids, plain, place.gaussians.fingerprint)
         electorate = _Electorate(rows, place.gaussians, kept / f"{folder.name}.votes", 0)
         electorate.look(given, lambda some, _: some)
-        return cls(place, ids, own, list(electorate.votes()), views)
+        return cls(place, ids, own, list(electorate.votes()))
 
-    def tree(self, evidence: Evidence, relief: bool = True) -> Tree:
-        cameras = self.place.cameras if relief else []
-        return find_tree(evidence, self.place.gaussians, self.ids.astype(np.uint32), cameras)
+    def tree(self, evidence: Evidence) -> Tree:
+        return find_tree(evidence, self.place.gaussians, self.ids.astype(np.uint32), self.place.cameras)
 
     def found(self, tree: Tree) -> Found:
         return compared(self.place, listing(tree, self.evidence, self.ids))
-
-    def voices(self) -> Iterator[tuple[str, Found]]:
-        tree, alike = self.tree(self.evidence), np.ones((len(self.evidence.masks), 1), np.float32)
-        votes, deep = self.votes, []
-        for vote, view in zip(votes, self.views, strict=True):
-            deep.append(both(vote, with_depth(vote.tree, view, self.place)))
-        pieces = {"without features": self.tree(replace(self.evidence, embeddings=alike))}
-        pieces["without depth between pieces"] = self.tree(self.evidence, relief=False)
-        said = {
-            "without outlines' strength": [flat(vote) for vote in votes],
-            "learned order alone": [learned(vote) for vote in votes],
-            "order of outlines alone": [outlined(vote) for vote in votes],
-            "with depth in outlines": deep,
-        }
-        yield "without votes", self.found(tree)
-        yield "all", self.found(with_voted(tree, lambda: votes))
-        for name, some in pieces.items():
-            yield name, self.found(with_voted(some, lambda: votes))
-        for name, others in said.items():
-            yield name, self.found(with_voted(tree, lambda others=others: others))
 
     def field(self, evidence: Evidence, tree: Tree) -> LanguageField:
         """A field with these objects, its features without meaning."""
@@ -398,39 +252,17 @@ def main() -> None:
     parser.add_argument("--masks", choices=("graph", "whole"), default="graph")
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--clip", type=Path)
-    parser.add_argument("--voices", action="store_true")
-    parser.add_argument("--only-voices", action="store_true")
-    parser.add_argument("--surfaces", action="store_true")
     arguments = parser.parse_args()
     print(describe_machine())
     words = Clip(arguments.clip) if arguments.clip else None
-    print(SURFACE_HEAD if arguments.surfaces else VOTES_HEAD)
+    print(VOTES_HEAD)
     for given in arguments.places:
-        place, path = place_of(given, arguments.masks == "whole", arguments.kept)
-        if arguments.surfaces:
-            print(line(surface_row(place)), flush=True)
-            continue
+        kind = MASKS[kind_of(given)][arguments.masks == "whole"]
+        place = place_of(given, kind, arguments.kept)
+        path = Path(given.partition("=")[0]).resolve()
         study = Study.of(place, path, arguments.kept, arguments.masks == "graph")
-        if not arguments.only_voices:
-            print(line(side_by_side(study, words, arguments.pictures)), flush=True)
-        if arguments.voices or arguments.only_voices:
-            for name, found in study.voices():
-                print(line((name, *said_of(found), "", "")), flush=True)
+        print(f"| {' | '.join(side_by_side(study, words, arguments.pictures))} |", flush=True)
     print(f"\npeak memory {peak_memory_bytes() / 2**20:.0f} MiB")
-
-
-def line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def place_of(given: str, whole: bool, kept: Path) -> tuple[Place, Path]:
-    folder, _, scene = given.partition("=")
-    path = Path(folder).resolve()
-    if not scene:
-        return room(path, "true" if whole else "graph", kept), path
-    outlined = outlines_path(path.name)
-    kind = "sam" if whole else "graph"
-    return capture(path, Path(scene), outlined if outlined.exists() else None, kind, kept), path
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ COPY . /source
 RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels /source
 
 FROM python:3.12-slim-bookworm
-ARG EXTRAS=viewer,serve,mcp,catalogue
+ARG EXTRAS=viewer,serve,mcp
 RUN --mount=type=bind,from=build,source=/wheels,target=/wheels \
     pip install --no-cache-dir "$(echo /wheels/drsplat-*.whl)[$EXTRAS]" \
     && useradd --create-home --uid 1000 drsplat \

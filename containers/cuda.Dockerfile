@@ -9,7 +9,7 @@ RUN apt-get update \
     && apt-get install -y --no-install-recommends g++ python3 python3-dev python3-venv \
     && rm -rf /var/lib/apt/lists/*
 ENV PATH=/opt/drsplat/bin:$PATH NVIDIA_VISIBLE_DEVICES=all NVIDIA_DRIVER_CAPABILITIES=compute,utility
-ARG EXTRAS=models,cuda,viewer,serve,mcp,catalogue
+ARG EXTRAS=models,cuda,viewer,serve,mcp
 COPY . /source
 RUN python3 -m venv /opt/drsplat \
     && pip install --no-cache-dir "/source[$EXTRAS]" \

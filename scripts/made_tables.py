@@ -10,7 +10,7 @@ from pathlib import Path
 
 from drsplat.cli import VERBS
 from drsplat.formats.known import FORMATS
-from drsplat.formats.moving_scenes import ROWS
+from drsplat.formats.moving_scenes import MOVING
 from drsplat.fronts.commands.declaring import Item, items_of
 from drsplat.fronts.commands.options import Verb
 
@@ -23,7 +23,7 @@ def formats() -> list[str]:
     rows = [one.row for one in FORMATS if one.row]
     others = [row for row in rows if " | no | no | " in row]
     head = ["| format | read | written | supported | refused, with the cure |", "|---|---|---|---|---|"]
-    return [*head, *(row for row in rows if row not in others), *ROWS, *others]
+    return [*head, *(row for row in rows if row not in others), *(one.row for one in MOVING), *others]
 
 
 def options() -> list[str]:

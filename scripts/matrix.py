@@ -21,21 +21,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 TESTERS = ("pytest", "hypothesis", "beartype", "jaxtyping")
-EXTRAS = (
-    "cuda",
-    "cuda13",
-    "capture",
-    "viewer",
-    "serve",
-    "mcp",
-    "catalogue",
-    "docs",
-    "ray",
-    "models",
-    "open-clip",
-    "usd",
-    "rerun",
-)
+EXTRAS = ("cuda", "cuda13", "capture", "viewer", "serve", "mcp", "docs", "ray", "models", "open-clip", "usd", "rerun")
 QUICK = tuple(
     f"tests/{name}.py"
     for name in (

@@ -76,7 +76,7 @@ MADE: dict[str, Made] = {
     "blender.jpg": Made("integrations/blender/picture.py in Blender", (ROOT / "integrations" / "blender",)),
     "supersplat.jpg": Made("docs/integrations.md, in SuperSplat's window", (ROOT / "integrations" / "supersplat",)),
     "graph_masks.jpg": Made(
-        "python -m world.segmenter.measuring TEST_SCENE... --plain --picture docs/images/graph_masks.jpg",
+        "python -m world.segmenter.measuring TEST_SCENE... --plain --picture docs/images/graph_masks.jpg at 5f81d639",
         (MODELS / "graph" / "network.safetensors", MODELS / "graph" / "rule.safetensors"),
     ),
     "eyes.jpg": Made(
@@ -88,21 +88,19 @@ MADE: dict[str, Made] = {
         (MODELS / "graph" / "network.safetensors", MODELS / "graph" / "rule.safetensors"),
     ),
     "mini_confusion.png": Made(
-        "python -m world.mini.measuring --test test.npz --picture docs/images/mini_confusion.png",
+        "python -m world.mini.measuring --test test.npz --picture docs/images/mini_confusion.png at 5f81d639",
         (MODELS / "mini" / "mini.safetensors",),
     ),
     "worst_answers.jpg": Made("study_worst.py at 4a01ca08, three of its pictures", (ROOT / "docs" / "answers.json",)),
     "worst_ten.jpg": Made(
-        "study_worst.py --records FILE at 4a01ca08, eight of its pictures",
-        (ROOT / "benchmarks" / "suite" / "rules.py",),
+        "study_worst.py --records FILE at 4a01ca08, eight of its pictures", (ROOT / "docs" / "answers.json",)
     ),
     "worst_names.jpg": Made(
-        "python benchmarks/study_eyes.py PLACE=FIELD... --kept FOLDER --worst docs/images/worst_names.jpg",
-        tuple(ROOT / "benchmarks" / name for name in ("suite/looking.py", "suite/real_eyes.py")),
+        "study_eyes.py PLACE=FIELD... --kept FOLDER --worst docs/images/worst_names.jpg at 5f81d639",
+        (MODELS / "graph" / "network.safetensors", MODELS / "graph" / "rule.safetensors"),
     ),
     "refusal.svg": Made(
-        "python benchmarks/study_rules.py --curve docs/images/refusal.svg",
-        tuple(ROOT / "benchmarks" / name for name in ("study_rules.py", "suite/rules.py", "suite/chart.py")),
+        "study_rules.py --curve docs/images/refusal.svg at 5f81d639", (ROOT / "docs" / "answers.json",)
     ),
 }
 

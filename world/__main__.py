@@ -1,5 +1,4 @@
-"""python -m world --split test --seed 7 --output DIR [--views 40 --size 640x480]
-python -m world --contact-sheet FILE.jpg"""
+"""python -m world --split test --seed 7 --output DIR [--views 40 --size 640x480]"""
 
 import argparse
 import secrets
@@ -9,7 +8,6 @@ import time
 from pathlib import Path
 
 from .cameras import PATHS, views_of
-from .contact_sheet import contact_sheet
 from .layouts import write_lerf, write_scannet, write_truth
 from .looks import SPLITS
 from .render import shoot
@@ -21,10 +19,6 @@ VERSION = 1  # of the world: a change of what a seed makes raises it
 
 def main() -> None:
     arguments = _arguments()
-    split = SPLITS[arguments.split]
-    if arguments.contact_sheet:
-        contact_sheet(arguments.contact_sheet, split)
-        return
     output: Path = arguments.output
     if output.exists():
         sys.exit(f"{output} exists already: name a folder that does not, or remove it")
@@ -60,16 +54,12 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m world", description="Makes a household scene.")
     parser.add_argument("--split", choices=sorted(SPLITS), default="train")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--output", type=Path, metavar="DIR")
+    parser.add_argument("--output", type=Path, metavar="DIR", required=True)
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=_size, default=(640, 480), metavar="WIDTHxHEIGHT")
     parser.add_argument("--cameras", choices=PATHS, default="both", help="round the table, through the room, or both")
     parser.add_argument("--spp", type=int, default=16, help="samples per pixel")
-    parser.add_argument("--contact-sheet", type=Path, metavar="FILE.jpg")
-    arguments = parser.parse_args()
-    if arguments.output is None and arguments.contact_sheet is None:
-        parser.error("name what to make: --output DIR or --contact-sheet FILE.jpg")
-    return arguments
+    return parser.parse_args()
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -2,15 +2,16 @@
 for its holes."""
 
 import numpy as np
-from jaxtyping import Bool
 from scipy import ndimage
+
+from drsplat.base.arrays import Mask
 
 SMALLEST = 12  # pixels; smaller specks are left out
 # clockwise on a screen with y down, beginning in the west
 _AROUND = ((-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1), (0, 1), (-1, 1))
 
 
-def polygons(mask: Bool[np.ndarray, "h w"]) -> list[list[tuple[int, int]]]:
+def polygons(mask: Mask) -> list[list[tuple[int, int]]]:
     """The outline of each connected piece as (x, y) pixels, the largest piece first."""
     pieces, count = ndimage.label(mask, np.ones((3, 3)))
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)[1:]
@@ -18,7 +19,7 @@ def polygons(mask: Bool[np.ndarray, "h w"]) -> list[list[tuple[int, int]]]:
     return [_outline(pieces == k + 1) for k in order]
 
 
-def _outline(piece: Bool[np.ndarray, "h w"]) -> list[tuple[int, int]]:
+def _outline(piece: Mask) -> list[tuple[int, int]]:
     """Moore's tracing of one 8-connected piece, without the points that lie on straight runs."""
     padded = np.pad(piece, 1)
     y, x = (int(v) for v in np.argwhere(padded)[0])

@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.ndimage import median_filter
 
+from drsplat.base.arrays import PixelNumbers
+
 Image = Float64[np.ndarray, "h w 3"]
 RADIUS = 3  # pixels
 _SPREAD = 2 * (RADIUS / 1.5) ** 2
@@ -51,7 +53,7 @@ def _span(shift: int, length: int) -> tuple[slice, slice]:
     return (slice(max(0, -shift), length - max(0, shift)), slice(max(0, shift), length - max(0, -shift)))
 
 
-def _blurred(image: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+def _blurred(image: PixelNumbers) -> PixelNumbers:
     """A 3x3 mean, to judge the level of light by."""
     padded = np.pad(image, 1, mode="edge")
     h, w = image.shape

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int32
 
+from drsplat.base.arrays import Doubles, Matrix3, PlanePoints, Points, Vector3
+
 Curve = list[tuple[float, float]]
 Vec3 = tuple[float, float, float]
 
@@ -34,7 +36,7 @@ class Mesh:
         return self.moved(z=-float(self.vertices[:, 2].min()))
 
 
-def turn(axis: str, degrees: float) -> Float64[np.ndarray, "3 3"]:
+def turn(axis: str, degrees: float) -> Matrix3:
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     matrix = np.eye(3)
@@ -114,16 +116,14 @@ def box(size: Vec3, edge: float = 0.0) -> Mesh:
     return joined(*parts).moved(z=size[2] / 2)
 
 
-def _marks(half: float, edge: float) -> Float64[np.ndarray, " n"]:
+def _marks(half: float, edge: float) -> Doubles:
     if not edge:
         return np.array([-half, half])
     steps = edge * np.tan(np.linspace(0, np.pi / 4, 4))  # even angles on the rounded edge
     return np.concatenate([-half + edge - steps[::-1], half - edge + steps])
 
 
-def _on_rounded_box(
-    points: Float64[np.ndarray, "*n 3"], core: Float64[np.ndarray, " 3"], edge: float
-) -> Float64[np.ndarray, "*n 3"]:
+def _on_rounded_box(points: Float64[np.ndarray, "*n 3"], core: Vector3, edge: float) -> Float64[np.ndarray, "*n 3"]:
     if not edge:
         return points
     inner = np.clip(points, -core, core)
@@ -176,9 +176,7 @@ def sweep(
     return _grid(rings, np.stack([u, v], axis=2))
 
 
-def _frames(
-    path: Float64[np.ndarray, "n 3"], loop: bool
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+def _frames(path: Points, loop: bool) -> tuple[Points, Points]:
     tangent = np.roll(path, -1, 0) - np.roll(path, 1, 0) if loop else np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     direction = path[-1] - path[0]
@@ -211,7 +209,7 @@ def extrude(outline: Curve, height: float) -> Mesh:
     )
 
 
-def _ears(ring: Float64[np.ndarray, "n 2"]) -> Int32[np.ndarray, "f 3"]:
+def _ears(ring: PlanePoints) -> Int32[np.ndarray, "f 3"]:
     """Triangles of a simple counterclockwise polygon, by ear clipping."""
     left = list(range(len(ring)))
     faces: list[tuple[int, ...]] = []
@@ -222,7 +220,7 @@ def _ears(ring: Float64[np.ndarray, "n 2"]) -> Int32[np.ndarray, "f 3"]:
     return np.array([*faces, tuple(left)], np.int32)
 
 
-def _is_ear(ring: Float64[np.ndarray, "n 2"], left: list[int], k: int) -> bool:
+def _is_ear(ring: PlanePoints, left: list[int], k: int) -> bool:
     a, b, c = (ring[left[i % len(left)]] for i in (k - 1, k, k + 1))
 
     def turns(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:

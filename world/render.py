@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
 
 from drsplat import View
+from drsplat.base.arrays import MaskIds, PixelNumbers, Pixels
 
 from . import engine
 from .rooms import Room
@@ -19,9 +19,9 @@ class Shot:
     the pixel meets first, -1 for the sky. depth: along z in metres, 0 for the sky."""
 
     view: View
-    image: UInt8[np.ndarray, "h w 3"]
-    ids: Int32[np.ndarray, "h w"]
-    depth: Float32[np.ndarray, "h w"]
+    image: Pixels
+    ids: MaskIds
+    depth: PixelNumbers
 
 
 def built(room: Room) -> Any:

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from drsplat.base.arrays import Vector3
+
 from .looks import Look, Split, Wardrobe, color, plain, shaded, washed
 from .meshes import Mesh, box, turn
 from .thing import Ledge, Part, Thing
@@ -40,7 +42,7 @@ class Placed:
             yield part, part.mesh.turned("z", self.degrees).moved(*self.position)
 
     @property
-    def center(self) -> Float64[np.ndarray, " 3"]:
+    def center(self) -> Vector3:
         """Of its box, in the world."""
         low, high = self.thing.bounds
         return np.asarray(turn("z", self.degrees) @ ((low + high) / 2) + np.array(self.position))
@@ -69,7 +71,7 @@ class Room:
     """
 
     size: tuple[float, float]
-    focus: Float64[np.ndarray, " 3"]
+    focus: Vector3
     objects: list[Placed]
     structures: list[Structure]
     window: tuple[np.ndarray, np.ndarray, np.ndarray]

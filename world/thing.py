@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float64
+
+from drsplat.base.arrays import Vector3
 
 from .looks import Color, Look
 from .meshes import Mesh, joined
@@ -40,13 +41,13 @@ class Thing:
     ledges: tuple[Ledge, ...] = ()
 
     @cached_property
-    def bounds(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+    def bounds(self) -> tuple[Vector3, Vector3]:
         """Lowest and highest corner, in metres."""
         points = np.concatenate([part.mesh.vertices for part in self.parts])
         return points.min(0), points.max(0)
 
     @property
-    def size(self) -> Float64[np.ndarray, " 3"]:
+    def size(self) -> Vector3:
         low, high = self.bounds
         return np.asarray(high - low)
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int32, UInt8
 from PIL import Image
+
+from drsplat.base.arrays import MaskIds, Pixels
 
 Label = tuple[str, str, str]  # name, colour, material; "" where that is not known
 
@@ -29,12 +30,12 @@ class Truth:
         """The folder with photos and a COLMAP model."""
         return self.folder / "lerf_ovs" / self.scene
 
-    def photos(self) -> Iterator[tuple[UInt8[np.ndarray, "h w 3"], Int32[np.ndarray, "h w"]]]:
+    def photos(self) -> Iterator[tuple[Pixels, MaskIds]]:
         """Each photo and the id of what its pixels show, -1 for nothing."""
         for name in self.views:
             yield np.asarray(Image.open(self.capture / "images" / name)), self.ids(name)
 
-    def ids(self, view: str) -> Int32[np.ndarray, "h w"]:
+    def ids(self, view: str) -> MaskIds:
         stored = Image.open(self.folder / "ids" / f"{Path(view).stem}.png")
         return np.asarray(stored).astype(np.int32) - 1
 

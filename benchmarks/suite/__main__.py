@@ -25,7 +25,8 @@ from .vocabularies import Clip
 SCENES = Path(__file__).resolve().parents[2] / "world" / "scenes"
 
 
-def main() -> None:
+def parsed() -> argparse.Namespace:
+    """Return the arguments of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scenes", type=Path, nargs="*", help="folders of world.packing")
     parser.add_argument("--output", type=Path, required=True, metavar="FILE.json")
@@ -50,6 +51,11 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.captures and not arguments.clip:
         parser.error("--captures needs --clip, the folder of CLIP's vectors")
+    return arguments
+
+
+def main() -> None:
+    arguments = parsed()
     start, scenes = time.perf_counter(), arguments.scenes or packed_scenes(SCENES)
     work = arguments.work or Path(f"{arguments.output}.parts")
     methods = (*arguments.methods, *(FITTED if arguments.rivals else ()))

@@ -14,13 +14,6 @@ STYLE = """\
 .whisker{stroke:#e8eaee}.b0{fill:#6c7889}.b1{fill:#5aa2ea}.b2{stroke:#8cc0f5}}
 text{font-family:system-ui,sans-serif;font-size:12px}.strong{font-weight:600}"""
 
-CURVES_WIDTH = 460
-CURVES_STYLE = """
-polyline{fill:none;stroke-width:2}.c0{stroke:#2f6fb2}.c1{stroke:#a9b4c2}.c2{stroke:#b2602f}
-.b0,.d0{fill:#2f6fb2}.b1,.d1{fill:#a9b4c2}.b2,.d2{fill:#b2602f;stroke:none}
-@media (prefers-color-scheme:dark){.c0{stroke:#5aa2ea}.c1{stroke:#6c7889}.c2{stroke:#e0915f}
-.b0,.d0{fill:#5aa2ea}.b1,.d1{fill:#6c7889}.b2,.d2{fill:#e0915f}}"""
-
 
 class Bar(NamedTuple):
     """Percent, 0 to 100. low, high: of the interval."""
@@ -98,48 +91,3 @@ def _y(value: float) -> float:
 
 def _text(x: float, y: float, words: str, anchor: str, kind: str) -> str:
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'
-
-
-class Mark(NamedTuple):
-    """A dot with a name, at percents along two axes."""
-
-    name: str
-    x: float
-    y: float
-
-
-class Line(NamedTuple):
-    """Percents along two axes, 0 to 100."""
-
-    name: str
-    x: Sequence[float]
-    y: Sequence[float]
-    marks: Sequence[Mark] = ()
-
-
-def curves(title: str, x: str, y: str, lines: Sequence[Line]) -> str:
-    """Return SVG: up to three lines over percents, with names of the axes, and a dot at each mark."""
-    width = LEFT + CURVES_WIDTH + RIGHT
-    parts = [part for value in range(0, 101, 20) for part in _line(value, width)]
-    for value in range(0, 101, 20):
-        parts.append(_text(_x(value), HEIGHT - BOTTOM + 18, f"{value}", "middle", "faint"))
-    for number, line in enumerate(lines):
-        points = " ".join(f"{_x(one):.1f},{_y(other):.1f}" for one, other in zip(line.x, line.y, strict=True))
-        parts.append(f'<polyline class="c{number}" points="{points}"><title>{escape(line.name)}</title></polyline>')
-        for mark in line.marks:
-            parts.append(f'<circle class="d{number}" cx="{_x(mark.x):.1f}" cy="{_y(mark.y):.1f}" r="4.5"/>')
-            parts.append(_text(_x(mark.x) + 8, _y(mark.y) + 16, mark.name, "start", "ink"))
-    names = [_text(_x(50), HEIGHT - 12, x, "middle", "ink"), _text(LEFT, TOP - 8, y, "start", "faint")]
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {HEIGHT}" width="{width:g}" '
-        f'height="{HEIGHT}" role="img"><title>{escape(title)}</title><style>{STYLE}{CURVES_STYLE}</style>\n'
-        f'<rect class="paper" width="100%" height="100%" rx="6"/>\n'
-        + "\n".join(
-            [_text(LEFT, 22, title, "start", "ink strong"), *_legend([one.name for one in lines]), *parts, *names]
-        )
-        + "\n</svg>\n"
-    )
-
-
-def _x(value: float) -> float:
-    return LEFT + CURVES_WIDTH * min(max(value, 0), 100) / 100

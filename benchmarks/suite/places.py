@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32
+from jaxtyping import Float64, Int32
 from PIL import Image
 from scipy import ndimage
 from scipy.cluster.vq import kmeans2
@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_gaussians, read_views, register
+from drsplat.base.arrays import Doubles, Mask, MaskIds, OtherEmbeddings
 from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.formats.tensors import hash_file, read_tensors, write_tensors
 from drsplat.kernels import render_channels, splat_arrays
@@ -39,7 +40,7 @@ NEAREST = 8
 UNKNOWN = -1
 
 
-Ids = Callable[[View], Int32[np.ndarray, "h w"]]
+Ids = Callable[[View], MaskIds]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ class Place:
     evidence: Evidence
     owners: Int32[np.ndarray, " m"]
     labels: Int32[np.ndarray, " n"]
-    mass: Float64[np.ndarray, " n"]
+    mass: Doubles
     things: Mapping[str, list[int]]
     nameless: list[int]
     cameras: list[View]
@@ -64,7 +65,7 @@ class Place:
     shown: Ids
     inputs: str
 
-    def evidence_of(self, embeddings: Float32[np.ndarray, "m D"]) -> Evidence:
+    def evidence_of(self, embeddings: OtherEmbeddings) -> Evidence:
         """Return the evidence of the place's photos with embeddings that were drawn for the masks of all."""
         return replace(self.evidence, embeddings=embeddings)
 
@@ -168,7 +169,7 @@ def _votes(gaussians: Gaussians, views: list[View], ids: Ids, count: int) -> Flo
     return np.asarray((exact.weights @ of_thing).toarray())
 
 
-def _compact(ids: Int32[np.ndarray, "h w"]) -> tuple[Int32[np.ndarray, "h w"], Int32[np.ndarray, " t"]]:
+def _compact(ids: MaskIds) -> tuple[MaskIds, Int32[np.ndarray, " t"]]:
     """Numbers of what is there, from 0 on, and what they are."""
     there, numbers = np.unique(ids, return_inverse=True)
     return (numbers.reshape(ids.shape) - int(there[0] < 0)).astype(np.int32), there[there >= 0]
@@ -267,7 +268,7 @@ def _simulated(ids: Ids) -> Ids:
     return maps
 
 
-def _moved(mask: Bool[np.ndarray, "h w"], pixels: int) -> Bool[np.ndarray, "h w"]:
+def _moved(mask: Mask, pixels: int) -> Mask:
     """Grown or, below 0, shrunk."""
     if not pixels:
         return mask

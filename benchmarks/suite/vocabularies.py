@@ -21,6 +21,7 @@ from jaxtyping import Float32, Int64
 
 from benchmarks.drawn_embeddings import unit
 from drsplat import EncoderIdentity
+from drsplat.base.arrays import Embeddings, Indices
 from drsplat.field.codes import read_faiss_codebook
 from drsplat.formats.vocabulary import VocabularyEncoder
 
@@ -40,7 +41,7 @@ class Pictures:
 
     vectors: Float32[np.ndarray, "p D"]
     of_word: Mapping[int, Int64[np.ndarray, " c"]]
-    of_nothing: Int64[np.ndarray, " n"]
+    of_nothing: Indices
     of_anything: Int64[np.ndarray, " a"]
     noise: Callable[[np.random.Generator, int], np.ndarray]
 
@@ -49,7 +50,7 @@ class Vocabulary:
     """words: plain nouns. texts: their unit vectors."""
 
     words: list[str]
-    texts: Float32[np.ndarray, "n D"]
+    texts: Embeddings
 
     @cached_property
     def encoder(self) -> VocabularyEncoder:
@@ -123,7 +124,7 @@ class Names(Vocabulary):
         self.fits = np.sort(left.max(1))  # how far each picture's best name stands out
 
     @cached_property
-    def directions(self) -> Float32[np.ndarray, "n D"]:
+    def directions(self) -> Embeddings:
         """Per name its centred vector, as long as it has to be for a cosine of one more with the name."""
         centred = self.texts - self.texts.mean(0)
         return np.asarray(centred / (centred**2).sum(1, keepdims=True), np.float32)

@@ -14,18 +14,18 @@ import shlex
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
 from io import TextIOWrapper
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from .base.system import can_be_a_path
 from .base.terminal import plain, plain_json, quoted
 from .errors import DrSplatError, DrSplatWarning, InputError, MissingExtraError
 from .fronts.commands.configuring import did_you_mean
 from .fronts.commands.log import logged, path_of
-from .fronts.commands.parsing import Parser, UsageError, VerbListFormatter, VerbParser
+from .fronts.commands.parsing import HelpFormatter, Parser, UsageError, VerbParser
 from .fronts.commands.verbs import GROUPS, SUMMARIES
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 VERBS = tuple(SUMMARIES)
 _ARGUMENT = re.compile(r"\b([a-z_][a-z_0-9]*)=(True\b|[A-Z][A-Z_]*\b(?:\.\w+|[,:][A-Z]\b)*|\d+\b)|\A([a-z_]+)(?=: )")
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
+VERB_COLUMN = 14  # where the summaries of the verbs begin
 SHELLS = ("bash", "zsh", "tcsh", "fish")
 ODD_NUMBERS = (
     "some numbers became too large or undefined on the way, so the result may be wrong: check the input for huge or "
@@ -60,8 +61,8 @@ class _LineParser(Parser):
             raise argparse.ArgumentError(None, f"there is no verb {quoted(name)}{hint or ':' + _listed_verbs()}")
 
     def format_help(self) -> str:
-        """Return usage, the verbs in their groups, and the options."""
-        formatter = self._get_formatter()
+        """Return usage, the verbs in their groups, and the options, with the room for the summaries of the verbs."""
+        formatter = HelpFormatter(self.prog, max_help_position=VERB_COLUMN)
         formatter.add_text(f"usage: {self.prog} VERB ...")
         formatter.add_text(self.description)
         verbs = next(action for action in self._actions if isinstance(action, argparse._SubParsersAction))
@@ -156,7 +157,7 @@ def make_parser(verbs: Sequence[str] = VERBS) -> argparse.ArgumentParser:
         prog="drsplat",
         description="Search a 3D Gaussian Splatting scene in words.",
         epilog="Each verb has its own help and examples: drsplat register --help",
-        formatter_class=VerbListFormatter,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument(
         "--version", action=_Version, nargs=0, help="print version, build and instruction set, and exit"
@@ -169,19 +170,15 @@ def make_parser(verbs: Sequence[str] = VERBS) -> argparse.ArgumentParser:
     for name, summary in SUMMARIES.items():
         verb = subparsers.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         if name in verbs:
-            _add_options(verb, import_module(f".fronts.commands.{name}", __package__))
+            from .fronts.commands.options import add_verb
+
+            command = import_module(f".fronts.commands.{name}", __package__)
+            verb.epilog, verb.usage = f"examples:\n{command.EXAMPLES}", getattr(command, "USAGE", None)
+            add_verb(verb, command.Options)
+            if hasattr(command, "DAILY"):
+                verb.daily = {"json", *command.DAILY.split()}
+            verb.set_defaults(command=command, parser=verb, flags=verb.flags)
     return parser
-
-
-def _add_options(parser: VerbParser, command: ModuleType) -> None:
-    from .fronts.commands.options import add_verb
-
-    parser.epilog = f"examples:\n{command.EXAMPLES}"
-    parser.usage = getattr(command, "USAGE", None)
-    add_verb(parser, command.Options)
-    if hasattr(command, "DAILY"):
-        parser.daily = {"json", *command.DAILY.split()}
-    parser.set_defaults(command=command, parser=parser, flags=parser.flags)
 
 
 def spelled(message: str, flags: Mapping[str, str]) -> str:
@@ -202,18 +199,6 @@ def spelled(message: str, flags: Mapping[str, str]) -> str:
     return _ARGUMENT.sub(spell, message)
 
 
-@contextmanager
-def _on_device(command: ModuleType, options: "Verb") -> Iterator[None]:
-    """Draw and register where a verb says, if it has a choice. Raises: MissingExtraError: there is no such GPU."""
-    if not hasattr(command, "device"):
-        yield
-        return
-    from .kernels.cuda.devices import using_device
-
-    with using_device(command.device(options)):
-        yield
-
-
 def _run(argv: list[str]) -> int:
     arguments = make_parser(argv[:1]).parse_args(argv)
     from .fronts.commands.declaring import made  # --help has left by now, without it
@@ -228,7 +213,7 @@ def _run(argv: list[str]) -> int:
         os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(options.threads)))
     with _warnings_as_lines(flags, options.debug):
         try:
-            with _on_device(command, options):
+            with _device(command, options):
                 answer = command.run(options)
         except (DrSplatError, KeyboardInterrupt) as error:
             if isinstance(error, KeyboardInterrupt) and not error.args and hasattr(command, "interrupted"):
@@ -241,6 +226,15 @@ def _run(argv: list[str]) -> int:
         command.show(plain_json(answer))
     sys.stdout.flush()
     return 0
+
+
+def _device(command: ModuleType, options: "Verb") -> AbstractContextManager[None]:
+    """Draw and register where a verb says, if it has a choice. Raises: MissingExtraError: there is no such GPU."""
+    if not hasattr(command, "device"):
+        return nullcontext()
+    from .kernels.cuda.devices import using_device
+
+    return using_device(command.device(options))
 
 
 def _refuse_no_texts(given: Mapping[str, Any], flags: Mapping[str, str]) -> None:
@@ -302,15 +296,12 @@ def _warnings_as_lines(flags: Mapping[str, str], debug: bool) -> Iterator[None]:
         shown = warnings.showwarning
         went_wrong = False
 
-        def show(
-            message: Warning | str, category: type[Warning], filename: str, lineno: int,
-            file: TextIO | None = None, line: str | None = None,
-        ) -> None:  # fmt: skip
+        def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
             nonlocal went_wrong
             if issubclass(category, DrSplatWarning):
                 _warn(spelled(str(message), flags))
             elif debug:
-                shown(message, category, filename, lineno, file, line)
+                shown(message, category, *place)
             elif issubclass(category, RuntimeWarning) and not went_wrong:
                 went_wrong = True
                 _warn(ODD_NUMBERS)

@@ -65,14 +65,6 @@ def test_the_rows_of_the_table_are_the_objects_that_are_listed(room, capsys):
         assert_allclose(table[column], [one[key] for one in objects], rtol=1e-6)
 
 
-def test_every_gaussian_says_whose_it_is(room, capsys):
-    names = exported(room, capsys).object_names()
-    ids = opened(room).object_ids()
-    assert [None if number < 0 else f"object {number}" for number in ids] == [
-        name and ("object 0" if name == names[int(np.argmax(ids == 0))] else "object 1") for name in names
-    ]
-
-
 def test_an_answer_goes_along(room, capsys):
     scene = opened(room)
     answer = scene.ask("red mug")
@@ -244,12 +236,6 @@ def test_what_cannot_be_written_is_said(arguments, message, room, capsys, monkey
     error = error_of(capsys, "export", "scene.ply", "--field", "room.field", *arguments)
     assert message in error
     assert sorted(room.iterdir()) == before
-
-
-def test_an_output_that_exists_stays(room, capsys):
-    (room / "a.glb").write_bytes(b"mine")
-    assert "exists already" in error_of(capsys, "export", room / "scene.ply", "-o", room / "a.glb")
-    assert (room / "a.glb").read_bytes() == b"mine"
 
 
 def test_in_python(room):

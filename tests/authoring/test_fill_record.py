@@ -14,7 +14,7 @@ from command_line import answer_of
 from drsplat import Gaussians, read_gaussians
 from drsplat.authoring.editing import Copies, Edit, EditFile, EditList, Fill, Move, Remove, Rows, edited
 from drsplat.authoring.editing.edits import document_of, edits_of, recorded
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.errors import FormatError, InputError
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.npy import write_npy
 from drsplat.fronts.viewing.bare import open_bare
@@ -95,13 +95,6 @@ def test_a_fill_that_removes_nothing_is_kept_too(file):
     assert len(made) > len(scene) - len(block)
 
 
-def test_a_list_meets_no_other_scene(file):
-    scene, block, _, _ = a_thing_in_a_hole()
-    kept(scene, block, file)
-    with pytest.raises(MismatchError, match="these edits are of another scene"):
-        file.read(scene.subset(np.arange(len(scene) - 1)))
-
-
 # --- in the viewer and in the command ---
 
 
@@ -111,7 +104,7 @@ def test_the_viewer_keeps_the_record(tmp_path):
     path = tmp_path / "scene.ply"
     write_gaussians(path, scene, scene.extra)
     owned = read_gaussians(path)
-    edits, alone = Edits.of(open_bare(path)), Edits.of(open_bare(path), kept=False)
+    edits, alone = Edits(open_bare(path)), Edits(open_bare(path), kept=False)
     for edit in removed_and_filled(block):
         edits.add(edit)
         alone.add(edit)
@@ -122,7 +115,7 @@ def test_the_viewer_keeps_the_record(tmp_path):
     edits.redo()
     assert same(edits.part(None)[0], made)
     write_gaussians(path, bare(owned), overwrite=True)
-    again = Edits.of(open_bare(path))
+    again = Edits(open_bare(path))
     assert same(again.part(None)[0], made)
     again.stand(replace(owned, means=owned.means + np.float32(0.25)))
     assert_allclose(again.part(None)[0].means, made.means + np.float32(0.25), atol=1e-6)

@@ -14,8 +14,8 @@ from drsplat import export_page, open_scene, read_gaussians
 from drsplat.authoring.editing import Copies, Duplicate, Edit, EditFile, Move, Remove
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.fronts.viewing import saving
-from drsplat.fronts.viewing.exporting import annotations_of_page, objects_of_page, placed_now
 from drsplat.fronts.viewing.session import Mode, Session
+from drsplat.fronts.viewing.stage import Stage
 from drsplat.scene.labelled import Annotation
 from refusing import refused
 from toy_capture import PER_THING, THINGS
@@ -56,9 +56,10 @@ def test_boxes_are_where_things_are_now(session):
     session.edit(Move((0.0, 0.0, 5.0)))
     session.ask("red mug; tall lamp")
     mug, lamp = (result.matches[0] for result in session.results)
-    assert_allclose(placed_now(session, mug).center, match.center + np.array([0, 0, 5]), atol=1e-3)
-    assert_allclose(placed_now(session, mug).extent, match.extent, atol=1e-3)
-    assert placed_now(session, lamp) is lamp
+    stage = Stage.of(session)
+    assert_allclose(stage.placed(mug).center, match.center + np.array([0, 0, 5]), atol=1e-3)
+    assert_allclose(stage.placed(mug).extent, match.extent, atol=1e-3)
+    assert stage.placed(lamp) is lamp
 
 
 def test_copies_are_drawn_painted_and_saved(session, tmp_path):
@@ -89,9 +90,9 @@ def test_the_list_is_the_one_beside_the_scene(room):
     file = EditFile.beside(room / "scene.ply")
     assert file.read(session.scene.gaussians).done == 1
     again = session_of(room)
-    assert again.hidden.sum() == PER_THING
+    assert (~again.edits.present).sum() == PER_THING
     again.edits.undo()
-    assert not again.hidden.any()
+    assert again.edits.present.all()
     assert file.read(session.scene.gaussians).done == 0
     again.choose_object(1)
     again.edit(Remove())
@@ -151,8 +152,7 @@ def test_a_page_has_objects_annotations_and_the_scene_as_edited(room):
     assert [(one["name"], one["unsure"]) for one in header["objects"]] == [("object 0", False), ("object 1", False)]
     assert all(one["picture"].startswith("data:image/jpeg;base64,") for one in header["objects"])
     assert [one["text"] for one in header["annotations"]] == ["<here>"]
-    numbers = page.object_numbers
-    assert numbers is not None
+    numbers = page.rows["objects"]
     assert np.bincount(numbers).tolist() == [PER_THING, PER_THING, PER_THING]
     frame = page.shown.frame
     middle = frame.world(np.array(header["objects"][0]["center"]))
@@ -160,6 +160,6 @@ def test_a_page_has_objects_annotations_and_the_scene_as_edited(room):
     assert "<here>" not in (room / "page.html").read_text(encoding="utf-8")  # it is JSON in a script
 
 
-def test_a_scene_without_objects_lists_none(session):
-    assert objects_of_page(session, UP) == []
-    assert annotations_of_page(session, UP) == []
+def test_a_scene_without_objects_lists_none(session, tmp_path):
+    header = export_page(tmp_path / "page.html", session.scene, ["red mug"]).header
+    assert header["objects"] == header["annotations"] == []

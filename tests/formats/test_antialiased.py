@@ -22,8 +22,10 @@ from drsplat.formats.moving_scenes import read_motion, read_ply_sequence, write_
 from drsplat.formats.scenes import read_gaussians
 from drsplat.formats.sources import blocks_of
 from drsplat.formats.tiles import read_tiles
-from drsplat.fronts.viewing.page import Page, _header
+from drsplat.fronts.viewing.bare import open_bare
+from drsplat.fronts.viewing.session import Session
 from drsplat.fronts.viewing.shown import moved_shown, shown_of
+from drsplat.fronts.viewing.stage import Stage
 from drsplat.kernels import splat_arrays, view_weights
 from drsplat.scene.gaussians import Gaussians, concatenated
 from drsplat.scene.moving import Frames, Moving
@@ -204,10 +206,11 @@ def test_inspect_says_it(tmp_path, capsys, antialiased):
     assert line.split()[1] == ("yes" if antialiased else "no")
 
 
-def test_a_page_to_send_dims_what_it_shows():
+def test_a_page_to_send_dims_what_it_shows(tmp_path):
     first = shown_of(marked(), 20)
     assert first.antialiased
     assert moved_shown(first, marked()).antialiased
     for gaussians, said in ((marked(), True), (random_gaussians(40), False)):
-        middle, shown = np.zeros(3), shown_of(gaussians, 20)
-        assert _header(Page("room", shown, gaussians, (), middle, middle, middle))["antialiased"] is said
+        write_gaussians(tmp_path / "scene.ply", gaussians, overwrite=True)
+        stage = Stage.of(Session(open_bare(tmp_path / "scene.ply")))
+        assert stage.look_document()["antialiased"] is said

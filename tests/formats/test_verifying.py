@@ -55,7 +55,6 @@ def write_tiles(folder: Path, seed: int = 0) -> Path:
 
 
 def write_catalogue(folder: Path) -> Path:
-    pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
     from drsplat.query.catalogue import Catalogue
 
     catalogue = Catalogue.open(folder / "a.catalogue")

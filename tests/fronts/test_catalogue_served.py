@@ -14,7 +14,6 @@ from PIL import Image
 from catalogued import write_scene
 from command_line import error_of
 
-pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not installed")
 

@@ -119,7 +119,7 @@ def test_answers_paint_parts_as_they_paint_the_whole(viewer, whole):
     rows = np.concatenate([session.rows_of(part) for part in PARTS])
     assert_array_equal(arrays["owner"], (owners(whole.results, 300) + 1)[rows])
     assert_array_equal(arrays["heat"], (heat(whole.results, 300) * 255 + 0.5).astype(np.uint8)[rows])
-    assert_array_equal(arrays["object"], whole.object_ids[rows] + 1)
+    assert_array_equal(arrays["object"], whole.objects_at()[rows] + 1)
     assert len(np.unique(arrays["owner"])) == 2
 
 
@@ -224,7 +224,7 @@ def test_tiles_without_a_field_can_be_looked_at(city):
     session = session_of(open_bare(path), 300)
     assert isinstance(session, TiledSession)
     assert session.modes == (Mode.SCENE,)
-    assert len(session.part(0)[1]) == session.num_coarse(session.tiles.tiles[0])
+    assert len(session.part(0)) == session.num_coarse(session.tiles.tiles[0])
     with refused("nothing can be asked"):
         session.ask("mug")
 

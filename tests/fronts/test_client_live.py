@@ -14,8 +14,8 @@ pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installe
 from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromium, opened, pixels_of, settled
 from drsplat.authoring.editing import Duplicate
 from drsplat.fronts.viewing.exporting import export_page
-from drsplat.fronts.viewing.live.stage import Stage
 from drsplat.fronts.viewing.session import Mode, Session
+from drsplat.fronts.viewing.stage import Stage
 from drsplat.query import Scene, open_scene
 from drsplat.scene.labelled import Annotation
 from live_clients import served

@@ -24,11 +24,10 @@ has_torch, has_hub = (find_spec(name) is not None for name in ("torch", "hugging
 
 @pytest.fixture
 def installed(monkeypatch: pytest.MonkeyPatch) -> set[str]:
-    """What the doctor finds; tests take from it. The probe is never started for real."""
+    """What the doctor finds; tests take from it. Torch is never imported for real."""
     names = {"torch", "transformers", *({"huggingface_hub"} if has_hub else ())}  # which is asked for real
     monkeypatch.setattr(doctor, "_is_installed", lambda name: name in names)
-    monkeypatch.setattr(doctor, "_start_probe", lambda: None)
-    monkeypatch.setattr(doctor, "_probed", lambda _: FINE)
+    monkeypatch.setattr(doctor, "_probed", lambda: FINE)
     return names
 
 
@@ -151,7 +150,7 @@ def test_a_broken_torchvision_is_found_by_importing_it(tmp_path, monkeypatch):
     (tmp_path / "torchvision").mkdir()
     (tmp_path / "torchvision" / "__init__.py").write_text("raise RuntimeError('no torchvision::nms')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    facts = doctor._probed(doctor._start_probe())
+    facts = doctor._probed()
     assert facts["torchvision_fault"] == "RuntimeError: no torchvision::nms"
     assert facts["torch_fault"] is None
 
@@ -160,16 +159,15 @@ def test_a_torch_that_cannot_be_imported(tmp_path, monkeypatch):
     (tmp_path / "torch.py").write_text("raise OSError('libc10.so: cannot open')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(doctor, "_is_installed", lambda name: True)
-    facts = doctor._probed(doctor._start_probe())
+    facts = doctor._probed()
     assert facts["torch_fault"] == "OSError: libc10.so: cannot open"
     (tmp_path / "torch.py").write_text("import os; os._exit(3)")
-    facts = doctor._probed(doctor._start_probe())
+    facts = doctor._probed()
     assert facts["torch_fault"] == "exit code 3"
     assert not doctor.abilities(facts)[MODELS]["ready"]
 
 
 def test_without_torch_nothing_is_started(monkeypatch):
     monkeypatch.setattr(doctor, "_is_installed", lambda name: False)
-    assert doctor._start_probe() is None
-    assert doctor._probed(None) == {}
+    assert doctor._probed() == {}
     assert "not installed: torch, transformers" in doctor.abilities({})[MODELS]["reason"]

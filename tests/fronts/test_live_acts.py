@@ -357,7 +357,7 @@ def test_an_outline_selects_what_is_seen_inside_it(viewer):
     assert_array_equal(things_with(viewer, "owner"), [ids])
     assert "nothing is seen" in viewer.refused("lasso", polygon=[[0, 0], [1, 0], [0, 1]], camera=seen_from)
     viewer.do("edit", change="remove")
-    assert viewer.session.hidden[ids].all()
+    assert not viewer.session.edits.present[ids].any()
 
 
 # --- changing ---

@@ -13,13 +13,9 @@ from test_catalogue import WORDS
 from catalogued import boxes_of, write_scene
 from command_line import error_of
 from drsplat import read_gaussians
+from drsplat.query.catalogue import Catalogue
 from live_clients import Browser, Viewer, a_viewer
 from live_clients import error_of as refusal_of
-
-pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
-
-from drsplat.fronts.viewing.live.shared import Shelf
-from drsplat.query.catalogue import Catalogue
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def viewer(folder: Path) -> Iterator[Viewer]:
     """With no scene open."""
-    with a_viewer(shelf=Shelf(Catalogue.open(folder / "flats.catalogue"))) as one:
+    with a_viewer(catalogue=Catalogue.open(folder / "flats.catalogue")) as one:
         one.shared._stage = None
         yield one
 
@@ -92,7 +88,7 @@ def test_a_scene_that_changed_or_went_is_told_without_its_folder(viewer, folder)
     try:
         assert "has changed since" in viewer.do("open_entry", number=0)["message"]
         (folder / "kitchen").rename(folder / "gone")
-        viewer.shared.shelf.opened, stage = ("", ""), viewer.shared._stage
+        viewer.shared.entry, stage = ("", ""), viewer.shared._stage
         viewer.shared._stage = None
         said = viewer.refused("open_entry", number=0)
         assert "where nothing is any more" in said

@@ -209,7 +209,7 @@ def test_a_film_that_nobody_waits_for_ends(viewer, tmp_path):
     gone.set()
     asked = files.Film.model_validate_json(json.dumps({"keys": KEYS, "seconds": 60, "format": ".gif"}))
     with pytest.raises(InputError, match="not waited for"):
-        files.film(viewer.shared.saves, viewer.shared.stage, asked, gone, files.Progress())
+        files.film(viewer.shared.saves, viewer.shared.stage, asked, gone)
     assert list((tmp_path / "saved").iterdir()) == []
 
 

@@ -143,17 +143,17 @@ def test_a_page_is_of_the_edits_on_show_also_where_they_are_kept_nowhere(viewer,
 def test_a_copy_of_a_session_stays_as_it_was():
     session = Session(boxes_scene(), words=THINGS)
     session.ask("red mug")
-    copied, before = session.copied(), session.edits.opacities
+    copied, before = session.copied(), session.edits.everything
     session.edit(Remove())
     session.ask("blue mug")
     assert [result.label for result in copied.results] == ["red mug"]
-    np.testing.assert_array_equal(copied.edits.opacities, before)
+    assert copied.edits.everything is before
     assert (session.edits.listed.done, copied.edits.listed.done) == (1, 0)
 
 
 def test_names_are_found_beside_the_session(viewer, monkeypatch):
     gate = Gate()
-    monkeypatch.setattr("drsplat.fronts.viewing.live.stage.suggestions", lambda *_: gate.wait() or ["red mug"])
+    monkeypatch.setattr("drsplat.fronts.viewing.stage.suggestions", lambda *_: gate.wait() or ["red mug"])
     preparing = viewer.lanes.change(viewer.shared.prepare)
     assert gate.come.wait(PATIENCE_S)
     assert viewer.header()["words"] == []

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from drsplat.authoring.editing import Edit, Everything, Move, Remove
-from drsplat.fronts.viewing.exporting import placed_now
 from drsplat.fronts.viewing.session import Session
+from drsplat.fronts.viewing.stage import Stage
 from drsplat.query import Scene
 from moving_scenes import passing_red_scene
 
@@ -32,7 +32,7 @@ def test_boxes_follow_and_clicks_find_what_is_there_then(scene):
     match = session.results[0].matches[0]
     for time in (0.0, 1.0):
         session.time = time
-        here = placed_now(session, match)
+        here = Stage.of(session).placed(match)
         assert abs(here.center[1] - (-1 + 2 * time)) < 0.05
         start = session.shown.frame.shown(here.center + np.array([3.0, 0, 1]))
         way = session.shown.frame.shown(here.center) - start

@@ -11,8 +11,9 @@ from drsplat import Scene
 from drsplat.errors import DrSplatWarning
 from drsplat.field.labels import LabelFile
 from drsplat.field.objects.agreed import agreed
-from drsplat.fronts.viewing.exporting import in_order, names_of, object_numbers, objects_of_page
+from drsplat.fronts.viewing.exporting import page_of
 from drsplat.fronts.viewing.session import Session
+from drsplat.fronts.viewing.stage import Stage
 from known_objects import EACH, with_objects
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -83,19 +84,14 @@ def test_a_list_of_none(a_field, capsys):
 
 
 def test_a_page_lists_the_agreed_first_and_finds_each_in_the_picture():
-    session = Session(doubted(0))
-    assert in_order(session) == ([1, 2], [0])
-    listed = objects_of_page(session, UP)
-    assert [(one["name"], one["unsure"]) for one in listed] == [
+    page = page_of(Stage.of(Session(doubted(0)), UP), [])
+    assert [(one["name"], one["unsure"]) for one in page.header["objects"]] == [
         ("object 1", False), ("object 2", False), ("object 0", True),
     ]  # fmt: skip
-    numbers = object_numbers(session)
-    assert numbers[[0, EACH, 2 * EACH, 3 * EACH - 1]].tolist() == [3, 1, 2, 0]
-    assert names_of(session) == ["object 0", "object 1", "object 2"]
+    assert page.rows["objects"][[0, EACH, 2 * EACH, 3 * EACH - 1]].tolist() == [3, 1, 2, 0]
 
 
 def test_a_catalogue_counts_them(tmp_path, capsys):
-    pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
     from drsplat.query.catalogue import Catalogue
 
     catalogue = Catalogue(tmp_path / "c")

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 pytest.importorskip("schemathesis", reason="schemathesis is not installed")
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
-pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
 from schemathesis import GenerationMode, checks
 from schemathesis.openapi import from_asgi

@@ -103,11 +103,10 @@ def test_blue_stays_blue_and_stands_out_of_the_rest():
     assert rest.max() < 0.5 * found.max()
 
 
-def test_nothing_goes_black_and_where_nothing_fits_all_stays_as_it_is():
-    rgb = default_rng(2).random((50, 3)).astype(np.float32)
+def test_nothing_goes_black_and_where_nothing_fits_all_stays_as_it_is(session):
     assert painting.dimmed(np.zeros((1, 3), np.float32)).min() >= 0.08
-    nobody = np.full(50, -1, np.int32)
-    assert_array_equal(painting.highlighted(rgb, nobody, [painting.accent(0)]), rgb)
+    session.ask("elephant")
+    assert_array_equal(session.colors, shown.base_colors(session.scene.gaussians))
 
 
 # --- picking ---
@@ -269,12 +268,12 @@ def test_a_click_shows_the_photo_where_there_is_one(session, tmp_path):
 def test_hidden_is_not_met_not_shown_and_not_saved(session, tmp_path):
     session.ask("red mug")
     session.edit(Remove())
-    assert (session.edits.opacities[rows(0)] == 0).all()
+    assert (session.edits.everything.opacities[rows(0)] == 0).all()
     assert not len(session.selection)
     count = saving.save_scene(tmp_path / "rest.ply", session)
     assert count == len(session.scene.gaussians) - EACH == len(read_gaussians(tmp_path / "rest.ply"))
     session.restore()
-    assert (session.edits.opacities == session.scene.gaussians.opacities).all()
+    assert (session.edits.everything.opacities == session.scene.gaussians.opacities).all()
 
 
 def test_a_selection_is_saved_alone_and_in_its_new_colour(session, tmp_path):

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import write_gaussians
 from drsplat.cli import main
-from drsplat.errors import InputError, pip_install
+from drsplat.errors import pip_install
 from drsplat.formats.spz import parse_spz
 from drsplat.fronts.viewing.client import PAGE_POLICY, filled
 from drsplat.fronts.viewing.exporting import export_page
@@ -223,14 +223,3 @@ def test_packed_arrays_are_where_the_layout_says():
 
 def test_what_is_filled_in_is_not_filled_again():
     assert filled("@A@ @B@", {"A": "@B@", "B": "x@A@"}) == "@B@ x@A@"
-
-
-def test_too_many_gaussians_are_refused(folder, monkeypatch):
-    from drsplat.fronts.viewing import page
-    from drsplat.fronts.viewing.exporting import page_of
-
-    monkeypatch.setattr(page, "MAX_GAUSSIANS", 10)
-    up = np.array([0.0, 0.0, 1.0])
-    full = page_of(Session(boxes_scene()), ["mug"], (up, np.zeros(3)), up)
-    with pytest.raises(InputError, match="up to 10"):
-        page.write_page(folder / "page.html", full)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 from scipy import ndimage
 
+from drsplat.base.arrays import MaskIds
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays
 from drsplat.scene.encoders import Encoder
 from drsplat.scene.masks.features import ViewFeatures
@@ -49,16 +50,14 @@ class MaskMaker:
         return ViewFeatures(mask_ids, noisy.astype(np.float32))
 
 
-def exact_labels(room: Room, view: View, *, splats: SplatArrays | None = None) -> Int32[np.ndarray, "h w"]:
+def exact_labels(room: Room, view: View, *, splats: SplatArrays | None = None) -> MaskIds:
     """Per pixel the thing of the largest blending weight; -1 where less than half is covered."""
     one_hot: Float32[np.ndarray, "n c"] = np.eye(len(room.names), dtype=np.float32)[room.labels]
     drawn = render_channels(splats or splat_arrays(room.gaussians), view, one_hot)
     return np.where(drawn.alpha < MIN_ALPHA, -1, drawn.channels.argmax(-1)).astype(np.int32)
 
 
-def perturbed(
-    labels: Int32[np.ndarray, "h w"], rng: np.random.Generator
-) -> tuple[Int32[np.ndarray, "h w"], Int32[np.ndarray, " s"]]:
+def perturbed(labels: MaskIds, rng: np.random.Generator) -> tuple[MaskIds, Int32[np.ndarray, " s"]]:
     """Mask map with ids from 0, and the thing behind each mask."""
     mask_ids = np.full(labels.shape, -1, np.int32)
     things: list[int] = []

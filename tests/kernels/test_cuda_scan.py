@@ -85,16 +85,6 @@ def test_laws(engine, seed, subvectors, count, queries):
     check_everything(engine, *drawn(seed, count, subvectors, queries, coarse=seed % 2 * 3))
 
 
-def test_a_closed_form(engine):
-    """lut[m, c] = c + 1000 m: sums are whole numbers, which float32 has exactly."""
-    rng = default_rng(0)
-    codes = rng.integers(0, 256, (777, 70), np.uint8)
-    lut = (np.arange(256) + 1000.0 * np.arange(70)[:, None]).astype(np.float32)
-    rows = scanning.sent_rows(engine, GroupedRows(scan.group_codes(codes), np.full(777, 0.5, np.float32)))
-    sums = codes.sum(axis=1, dtype=np.int64) + 1000 * 69 * 70 // 2
-    assert_array_equal(scanning.scan_scores(rows, QueryTables(lut[None]))[0], sums / 2)
-
-
 def test_each_run_gives_the_same_bits_on_any_number_of_blocks(engine, monkeypatch):
     rows, tables = drawn(2, 3000, 35, coarse=4)
     device = scanning.sent_rows(engine, rows)

@@ -232,26 +232,6 @@ def test_every_pixel_its_own_mask(isa):
     assert_same_triples(native, expected)
 
 
-@lru_cache
-def overcast() -> tuple[SplatArrays, np.ndarray, reference.Triples]:
-    """Gaussians so large that most of them cover the whole raster."""
-    arrays = splat_arrays(random_gaussians(300, 4, extent=3.0, size=2.5))
-    opacities = default_rng(4).uniform(0.005, 0.2, 300).astype(np.float32)
-    arrays = arrays._replace(opacities=opacities)
-    twin = reference.contributors(arrays, view_of("outside"))
-    assert np.bincount(twin.pixels).mean() > 40
-    assert reference.on_boundary(twin, 45).mean() < 0.1
-    return arrays, *masked(twin, segments_of("outside"), 45)
-
-
-@pytest.mark.slow
-@every_isa
-def test_gaussians_that_cover_the_screen(isa):
-    arrays, mask_ids, expected = overcast()
-    native = view_weights(arrays, view_of("outside"), mask_ids, 45, isa=isa)
-    assert_same_triples(native, expected)
-
-
 @every_isa
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("width", [64, 65])
@@ -319,22 +299,6 @@ def test_contributions_are_those_of_the_twin(scene, isa, k):
     assert (ids != expected.ids).mean() < 1e-3
 
 
-@pytest.mark.parametrize("first_hits", [None, 12])
-def test_contributions_sum_to_the_weights(first_hits):
-    arrays, view, mask_ids = arrays_of("inside"), view_of("inside"), segments_of("inside")
-    per_pixel = topk_contributions(arrays, view, 20, first_hits=first_hits)
-    owned = (per_pixel.ids >= 0) & (mask_ids >= 0)[..., None]
-    sums = {}
-    owners = np.broadcast_to(mask_ids[..., None], owned.shape)[owned]
-    for gaussian, mask, weight in zip(
-        per_pixel.ids[owned].tolist(), owners.tolist(), per_pixel.weights[owned].tolist(), strict=True
-    ):
-        sums[gaussian, mask] = sums.get((gaussian, mask), 0.0) + weight
-    native = table(view_weights(arrays, view, mask_ids, 20, first_hits=first_hits))
-    assert native.keys() == sums.keys()
-    assert_allclose([native[key] for key in sums], list(sums.values()), rtol=1e-5)
-
-
 @every_isa
 def test_equal_depths_go_by_content(isa):
     """By the bits of x, y, z, covariance and opacity, then by row: the last two rows are one Gaussian twice."""
@@ -394,12 +358,6 @@ def test_renderings_are_those_of_the_twin(scene, isa, channels):
     assert error.max() < 2e-5
     assert_allclose(native.alpha[sure], twin.alpha[sure], rtol=0, atol=1e-5)
     assert_allclose(native.depth[sure], twin.depth[sure], rtol=1e-5, atol=1e-5)
-
-
-def test_no_background_is_black():
-    arrays, view = arrays_of("outside"), view_of("outside")
-    black = render_channels(arrays, view, VALUES[:, :3], np.zeros(3, np.float32))
-    assert_array_equal(render_channels(arrays, view, VALUES[:, :3]).channels, black.channels)
 
 
 @pytest.mark.parametrize("degree", range(4))

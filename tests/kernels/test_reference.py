@@ -228,15 +228,6 @@ def test_weights_and_transmittance_sum_to_one():
     assert seen.transmittance.min() < 1e-3 < seen.transmittance.max()  # the scene has both
 
 
-def test_rendering_a_constant_gives_alpha():
-    arrays = splat_arrays(random_gaussians(800, 6, size=0.25))
-    view = look_at_view((0, -6, 1), width=WIDTH, height=HEIGHT)
-    image = reference.render_channels(arrays, view, np.full((800, 2), [3.0, -1.0]))
-    assert_allclose(image.channels, image.alpha[..., None] * [3.0, -1.0], rtol=1e-9)
-    on_white = reference.render_channels(arrays, view, np.ones((800, 1)), np.ones(1))
-    assert_allclose(on_white.channels, 1, rtol=1e-9)
-
-
 def test_depth_is_the_weighted_mean_of_camera_z():
     arrays = arrays_of([[0, 0, 6.0], [0, 0, 3.0]], [0.75, 0.5])
     image = reference.render_channels(arrays, on_axis_view(), np.zeros((2, 1)))

@@ -12,7 +12,6 @@ from scipy.sparse import csr_array
 
 from drsplat.field.objects.block_nodes import along_a_curve, neighbours
 from drsplat.kernels import Forest, MergeRule, agglomerate
-from fields import random_weights
 from refusing import refused
 from twins import regions as twin
 
@@ -209,12 +208,3 @@ def test_neighbours_of_points_in_one_place_and_of_few():
     far = np.concatenate([default_rng(0).random((200, 3)), [[50.0, 0, 0]]])
     alone = neighbours(far)
     assert (alone != 200).all() or np.linalg.norm(far[alone[alone[:, 1] == 200][0, 0]] - far[200]) < 50
-
-
-def test_random_sparse_votes_do_not_hurt():
-    w = random_weights(default_rng(3), 300, 60, 0.1)
-    w.sort_indices()
-    views = np.sort(default_rng(4).integers(0, 6, 60)).astype(np.int32)
-    embeddings = np.eye(60, dtype=np.float32)[:, :8]
-    forest = agglomerate(w, views, embeddings, neighbours(default_rng(5).random((300, 3))), THRESHOLDS, RULE)
-    assert forest.sizes[forest.parents < 0].sum() == 300

@@ -24,12 +24,11 @@ from command_line import answer_of, error_of
 from drsplat import cli
 from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.errors import DrSplatWarning, MismatchError, MissingExtraError
-from drsplat.formats.embedding_record import COMPACT, EmbeddingRecord, finished_photos
+from drsplat.formats.embedding_record import COMPACT, EmbeddingRecord, read_record
 from drsplat.formats.langsplat import LEVELS, read_features
 from drsplat.formats.replacing import NoRoom
 from drsplat.formats.tensors import sealed
 from drsplat.photos.embedding.embed import embed as embed_compactly
-from drsplat.photos.embedding.embed import recorded_encoder
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.masks.crops import crop
 from drsplat.scene.views import View
@@ -135,7 +134,7 @@ def test_our_reader_reads_what_a_writer_like_langsplat_wrote_and_embed_leaves_it
     with refused(r"not made here.*pass overwrite.*: a$"):
         embed_quietly(views, folder)
     assert times_of(folder) == before
-    assert recorded_encoder(folder) is None
+    assert read_record(folder) is None
     assert embed_quietly(views, folder, overwrite=True).redone == 1
     assert langsplat_reader(folder, "a", 3)
 
@@ -244,7 +243,7 @@ def test_embeddings_that_are_none_are_not_stored(views, rows, out):
 )
 def test_a_damaged_record_is_refused(views, text, out, embedded):
     (out / "embedding.json").write_text(text)
-    for read in (lambda: embed_quietly(views, out), lambda: recorded_encoder(out)):
+    for read in (lambda: embed_quietly(views, out), lambda: read_record(out)):
         with malformed(r"embedding\.json"):
             read()
     assert embed_quietly(views, out, overwrite=True).redone == 3
@@ -394,10 +393,10 @@ def test_old_files_stay_until_the_new_ones_are_there(views, out):
     assert {path.name for path in kept} == {"b_f.npy", "b_s.npy"}
     assert len(kept) == 4
     with pytest.raises(MismatchError, match="2 photos have features that are not of the settings"):
-        recorded_encoder(out)
+        read_record(out).whole()
     report = embed(views, out, ColorSegmenter(), ThumbnailEncoder(), max_height=9)
     assert (report.reused, report.redone, report.changes) == (1, 2, ())
-    assert recorded_encoder(out) == ThumbnailEncoder().identity
+    assert read_features(out).encoder == ThumbnailEncoder().identity
 
 
 def test_files_left_from_other_settings_are_named(views, out, embedded):
@@ -463,7 +462,7 @@ def test_a_full_disk_keeps_what_was_noted(views, tmp_path, monkeypatch, out):
     with pytest.raises(NoRoom, match="there is no room left"):
         embed_quietly(views, out)
     monkeypatch.undo()
-    assert set(finished_photos(out)) == {"a"}
+    assert set(read_record(out).finished) == {"a"}
     assert embed_quietly(views, out).reused == 1
     assert not (out / "embedding.jsonl").exists()
 
@@ -489,7 +488,7 @@ def test_a_kill_loses_at_most_one_photo(form, tmp_path, out):
     process.wait()
     killed = times_of(out)
     assert (out / "embedding.jsonl").is_file()
-    finished = len(finished_photos(out))
+    finished = len(read_record(out).finished)
     listed = len(list(out.glob(f"*{ending}")))
     assert 3 <= listed <= 7
     assert listed - finished <= 1
@@ -560,7 +559,7 @@ def test_embed_register_query(three_balls, out):
     views, scene = ds.read_views(three_balls), ds.read_gaussians(three_balls / "scene.ply")
     encoder = ThumbnailEncoder()
     embed(views, out, ColorSegmenter(), encoder)
-    features = read_features(out, encoder=recorded_encoder(out))
+    features = read_features(out)
     field = ds.register(scene, views, features).to_field()
     assert field.encoder == encoder.identity
     for ball in range(3):

@@ -68,7 +68,7 @@ def test_the_site_is_built_and_its_links_lead_somewhere(site):
     assert "--vocabulary" in (site / "reference/command_line.html").read_text()
 
 
-OTHERS = """torch transformers sentencepiece open_clip pycolmap pi_heif av lancedb pyarrow ray fsspec rerun pxr shtab
+OTHERS = """torch transformers sentencepiece open_clip pycolmap pi_heif av ray fsspec rerun pxr shtab
 beartype clang_format faiss gsply hypothesis mypy pytest xdist ruff httpx cv2 schemathesis cupy"""
 """What other extras install."""
 ONLY_DOCS = f"""

@@ -4,11 +4,8 @@ import pytest
 
 from drsplat import Scene, open_scene
 from drsplat.errors import DrSplatWarning
-from drsplat.query.objects import object_of
-
-pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
-
 from drsplat.query.catalogue import Catalogue
+from drsplat.query.objects import object_of
 
 pytestmark = pytest.mark.slow
 WORDS = ("apple", "candle", "plant", "sofa", "table", "toy car", "toy duck", "red vase", "orange sofa", "green toy car")

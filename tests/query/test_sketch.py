@@ -9,6 +9,7 @@ from safetensors.numpy import load, save
 
 from catalogued import boxes_of
 from drsplat import Query, Scene, WordEncoder
+from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.query.sketch import Packed, Sketch, SketchedScene, _Copies, sketch_of
 from known_objects import known_scene
 from refusing import malformed
@@ -45,6 +46,14 @@ def sketched(scene: Scene, sketch: Sketch) -> SketchedScene:
 def test_it_answers_as_the_scene_does(scene, sketch, query):
     own = {match.object_id for match in scene.locate(query)}
     assert set(np.flatnonzero(sketched(scene, sketch).answers(query))) == own
+
+
+@pytest.mark.parametrize("text", ["sofa", "lamp"])
+def test_a_text_that_another_of_a_list_fits_nearly_as_well_is_not_answered(scene, sketch, text):
+    """The rival is named of rows of the scene, of which a sketch has few vectors."""
+    texts = ["red mug", "red bowl", "sofa", "lamp", "door"]
+    encoder = VocabularyEncoder(WordEncoder.identity, texts, WordEncoder().encode_texts(texts))
+    assert not SketchedScene(sketch, scene.field.encoder, lambda: encoder).answers(Query(text)).any()
 
 
 def test_names_that_people_gave_are_meant_exactly(scene, sketch):

@@ -113,30 +113,6 @@ def test_what_stays_is_what_a_plain_loop_keeps(drawn, max_iou, inner):
     assert kept.tolist() == nms_one_pair_at_a_time(full, scores, max_iou, inner=inner)
 
 
-def test_blobs_of_a_photo_are_kept_as_a_plain_loop_keeps_them():
-    rng = np.random.default_rng(3)
-    y, x = np.mgrid[:60, :80]
-    full = np.array(
-        [(x - rng.uniform(0, 80)) ** 2 + (y - rng.uniform(0, 60)) ** 2 < rng.uniform(1, 30) ** 2 for _ in range(60)]
-    )
-    scores = rng.uniform(0.65, 1, 60).astype(np.float32)
-    kept = mask_nms(cut_masks(full, scores)).tolist()
-    assert 3 < len(kept) < 57
-    assert kept == nms_one_pair_at_a_time(full, scores)
-
-
-def test_a_contained_mask_goes_whichever_scores_higher():
-    for scores in ([0.95, 0.8], [0.8, 0.95]):
-        masks = of("########/########", "###...../........", scores=scores)
-        assert mask_nms(masks).tolist() == [0]
-    half = of("########", "####....")  # covers half of it: not far smaller
-    assert mask_nms(half).tolist() == [0, 1]
-    out = of("##########..........", "........##..........")
-    assert mask_nms(out).tolist() == [0]
-    partly = of("#########...........", ".......###..........")  # 2 of 3 pixels inside
-    assert mask_nms(partly).tolist() == [0, 1]
-
-
 def test_the_bounds_themselves_are_in():
     at_bound = of("####.", "#####", scores=[0.9, 0.8])  # IoU 4/5 is not above 0.8
     assert mask_nms(at_bound).tolist() == [0, 1]
@@ -146,15 +122,6 @@ def test_the_bounds_themselves_are_in():
     assert mask_nms(of("##", "##")).tolist() == [0]  # of equal ones the first
 
 
-def test_a_mask_that_goes_counts_against_others():
-    """0 removes 1 and 1 removes 2, although 0 and 2 differ enough."""
-    masks = of(
-        "####################..", ".####################.", "..####################",
-        scores=[0.95, 0.9, 0.85],
-    )  # fmt: skip
-    assert mask_nms(masks, max_iou=0.85).tolist() == [0]
-
-
 def test_no_masks_at_all():
     none = cut_masks(np.zeros((0, 4, 5), bool), np.empty(0, np.float32))
     assert mask_nms(none).tolist() == []
@@ -162,10 +129,6 @@ def test_no_masks_at_all():
 
 
 # --- maps -----------------------------------------------------------------------------------------
-
-
-def test_later_masks_paint_over_earlier_ones():
-    assert_array_equal(paint(of("##../##..", ".##./....")), [[0, 1, 1, -1], [0, 0, -1, -1]])
 
 
 @given(many_masks())

@@ -35,15 +35,6 @@ def test_two_at_one_place_become_one_of_the_summed_opacity():
     assert_array_equal(merged(ball((1, 2, 3), (1, 2, 3), opacity=0.8), np.array([0, 0])).opacities, [1])
 
 
-def test_two_apart_become_one_stretched_between_them():
-    """Variance along the line: 0.1^2 and the square of half the distance; mass is opacity times area."""
-    one = merged(ball((-0.3, 0, 0), (0.3, 0, 0)), np.array([0, 0]))
-    assert_allclose(one.means, [[0, 0, 0]], atol=1e-7)
-    assert_allclose(np.sort(one.scales[0]), [0.1, 0.1, np.sqrt(0.1)], rtol=1e-5)
-    assert_allclose(one.covariances(), [[0.1, 0, 0, 0.01, 0, 0.01]], atol=1e-7)
-    assert_allclose(one.opacities[0], 2 * 0.3 * 0.03 / (0.01 + 0.2 * np.sqrt(0.1)), rtol=1e-5)
-
-
 def test_the_heavier_weighs_more():
     pair = replace(ball((0, 0, 0), (1, 0, 0)), opacities=np.float32([0.9, 0.1]))
     pair = replace(pair, extra={"object_id": np.int32([7, 8])})

@@ -1,15 +1,27 @@
 """Scenes of three boxes with known objects, as `drsplat register` and `drsplat objects` leave them, for catalogues."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from drsplat import EncoderIdentity, WordEncoder, read_gaussians, write_gaussians
 from drsplat.field import LanguageField
+from drsplat.formats.json_files import write_json
 from drsplat.formats.poses import write_cameras_json
+from drsplat.formats.replacing import claimed_output
+from drsplat.formats.tensors import sealed
+from drsplat.query import Match
+from drsplat.query.catalogue.changes import replace_scene
+from drsplat.query.catalogue.entries import SceneEntry
+from drsplat.query.catalogue.rows import scene_arrays
+from drsplat.query.catalogue.snapshot import DOCUMENT, Record
+from drsplat.query.sketch import Packed, Sketch
 from drsplat.scene.gaussians import Gaussians
 from known_objects import EACH, VIEWS, described, known_field, known_scene
 from scenes import look_at_view
@@ -42,3 +54,32 @@ def write_scene(folder: Path, words: Sequence[str], *, photos: bool = True, move
         for view in views:
             Image.new("RGB", (view.width, view.height), (90, 140, 200)).save(folder / "images" / view.name)
     return folder
+
+
+def add_plain(path: Path, name: str, vectors: np.ndarray, encoder: EncoderIdentity, each: int = 2) -> None:
+    """Add a scene of objects without pictures, of `each` descriptors; their Gaussians are as these are."""
+    count = len(vectors) // each
+    matches = [Match(np.ones(3), np.eye(3), np.ones(3), 1.0, np.zeros(5, np.int64), object_id=k) for k in range(count)]
+    picture, many = np.eye(1, vectors.shape[1], dtype=np.float32), np.full(len(vectors), 40, np.int32)
+    features, pictures, words = (Packed.of(some) for some in (np.nan_to_num(vectors), picture, vectors[:0]))
+    numbers = np.repeat(np.arange(count, dtype=np.int32), each)
+    sketch = Sketch(features, many, numbers, pictures, words, np.full(count, 40, np.int32), {})
+    entry = SceneEntry(name, count, count, datetime(2026, 1, 1, tzinfo=UTC), "f", "", "unknown")
+    arrays = scene_arrays(
+        matches, np.split(vectors, max(count, 1)), encoder.dim, [Record(0, 5, 5, 1.0, None, None, None, None)] * count,
+        [b""] * count, sketch.to_bytes(),
+    )  # fmt: skip
+    with claimed_output(path, 60.0):
+        replace_scene(path, entry, arrays, encoder)
+
+
+def edit_document(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change a catalogue's document and seal it anew."""
+    document = json.loads((path / DOCUMENT).read_text())
+    change(document)
+    write_json(path / DOCUMENT, sealed(document), overwrite=True)
+
+
+def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    vectors = rng.standard_normal(shape).astype(np.float32)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), np.float32)

@@ -15,7 +15,7 @@ import numpy as np
 
 import drsplat as ds
 from browsing import a_page, eventually, pixels_of
-from drsplat.base.arrays import Float64
+from drsplat.base.arrays import Matrix3, Matrix4
 from drsplat.kernels import sh_colors
 from drsplat.scene.gaussians import SH_C0
 from foreign_programs import NPM_FOLDER
@@ -75,7 +75,7 @@ def pictured(
     viewer: str,
     scene: Path,
     view: ds.View,
-    viewer_from_world: Float64[np.ndarray, "4 4"] = WORLD,
+    viewer_from_world: Matrix4 = WORLD,
     antialiased: bool = False,
     globe: bool = False,
     level: int | None = None,
@@ -110,7 +110,7 @@ def pictured(
     return shots[-1]
 
 
-def turned(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "4 4"]:
+def turned(rotation: Matrix3) -> Matrix4:
     """Return the matrix of a rotation about zero."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation

@@ -19,7 +19,7 @@ import httpx
 from drsplat.fronts.viewing.bare import is_bare, open_bare
 from drsplat.fronts.viewing.live.app import create_app
 from drsplat.fronts.viewing.live.service import Gate, listening_socket
-from drsplat.fronts.viewing.live.shared import Shared, Shelf
+from drsplat.fronts.viewing.live.shared import Shared
 from drsplat.fronts.viewing.live.turns import Lanes
 from drsplat.fronts.viewing.live.uploads import UploadLimits, Uploads
 from drsplat.fronts.viewing.saving import Saves
@@ -42,9 +42,9 @@ class Viewer:
 
     def __init__(
         self, session: Session | None = None, *, folder: Path | None = None, host: str = "127.0.0.1",
-        token: str | None = None, limits: UploadLimits | None = None, shelf: Shelf | None = None,
+        token: str | None = None, limits: UploadLimits | None = None, catalogue: Any = None,
     ) -> None:  # fmt: skip
-        self.shared = Shared(Saves(folder), opened, shelf=shelf, uploads=Uploads(limits or UploadLimits()))
+        self.shared = Shared(Saves(folder), opened, catalogue=catalogue, uploads=Uploads(limits or UploadLimits()))
         if session is not None:
             self.shared.show(session)
             self.shared.note()

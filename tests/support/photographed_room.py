@@ -6,9 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 from PIL import Image
 
+from drsplat.base.arrays import Colors, Pixels, PlanePoints, Points, Vector3
 from drsplat.scene.views import View
 from scenes import look_at_view
 
@@ -27,7 +28,7 @@ def room_views(count: int = 10, height: float = 1.4) -> list[View]:
     return [replace(view, name=f"photo_{index:02}.jpg") for index, view in enumerate(views)]
 
 
-def photographed(view: View, seed: int = 0, fisheye: bool = False) -> UInt8[np.ndarray, "h w 3"]:
+def photographed(view: View, seed: int = 0, fisheye: bool = False) -> Pixels:
     """Return what a camera in the room sees.
 
     seed: of the blots; another one is another room. fisheye: pixels from the middle are focal lengths times the angle.
@@ -64,13 +65,13 @@ def exif_of(view: View) -> Image.Exif:
     return exif
 
 
-def jpeg(pixels: UInt8[np.ndarray, "h w 3"], exif: Image.Exif | None = None) -> bytes:
+def jpeg(pixels: Pixels, exif: Image.Exif | None = None) -> bytes:
     content = io.BytesIO()
     Image.fromarray(pixels).save(content, "JPEG", quality=92, exif=exif or Image.Exif())
     return content.getvalue()
 
 
-def _far_wall(eye: Float64[np.ndarray, " 3"], rays: Float64[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+def _far_wall(eye: Vector3, rays: Points) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance along rays to the walls from within, and which of six they are."""
     with np.errstate(divide="ignore"):
         far = np.where(rays > 0, ROOM[1] - eye, ROOM[0] - eye) / rays
@@ -78,9 +79,7 @@ def _far_wall(eye: Float64[np.ndarray, " 3"], rays: Float64[np.ndarray, "n 3"]) 
     return far[np.arange(len(rays)), axis], 2 * axis + (rays[np.arange(len(rays)), axis] > 0)
 
 
-def _near_side(
-    eye: Float64[np.ndarray, " 3"], rays: Float64[np.ndarray, "n 3"], box: Float64[np.ndarray, "2 3"]
-) -> tuple[np.ndarray, np.ndarray]:
+def _near_side(eye: Vector3, rays: Points, box: Float64[np.ndarray, "2 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance along rays to a box from outside (inf: missed), and which of its six sides they meet."""
     with np.errstate(divide="ignore"):
         one, other = (box[0] - eye) / rays, (box[1] - eye) / rays
@@ -90,7 +89,7 @@ def _near_side(
     return np.where(hit, entry, np.inf), 2 * axis + (rays[np.arange(len(rays)), axis] > 0)
 
 
-def _blots(points: Float64[np.ndarray, "n 3"], face: np.ndarray, seed: int) -> UInt8[np.ndarray, "n 3"]:
+def _blots(points: Points, face: np.ndarray, seed: int) -> Colors:
     """Return colours of points on faces: blots of several sizes, of each face its own."""
     across = np.array([[1, 2], [0, 2], [0, 1]])[(face % 6) // 2]
     flat = np.take_along_axis(points, across, axis=1) + 50.0
@@ -101,7 +100,7 @@ def _blots(points: Float64[np.ndarray, "n 3"], face: np.ndarray, seed: int) -> U
     return (np.clip(total, 0, 1) * 255).astype(np.uint8)
 
 
-def _smooth(table: Float64[np.ndarray, "a a 3"], at: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
+def _smooth(table: Float64[np.ndarray, "a a 3"], at: PlanePoints) -> Points:
     low = np.floor(at).astype(int)
     fx, fy = (at - low).T[..., None]
     x, y = (low % 256).T

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32
+from jaxtyping import Float32, Float64
 from scipy import ndimage
 from skimage.color import rgb2lab
 from skimage.measure import label
 
 import drsplat as ds
+from drsplat.base.arrays import Image, MaskIds, Matrix4, PixelNumbers, Points, Vector3
 from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.poses import write_cameras_json
@@ -35,9 +36,7 @@ COLOURS = {
 }  # fmt: skip
 
 
-def orbit(
-    gaussians: ds.Gaussians, up: Float64[np.ndarray, " 3"], num_views: int, long_side: int = 800
-) -> list[ds.View]:
+def orbit(gaussians: ds.Gaussians, up: Vector3, num_views: int, long_side: int = 800) -> list[ds.View]:
     """Cameras around the scene that show all of it; portrait format for tall scenes."""
     middle, half_height, radius = upright_cylinder(gaussians, up)
     tall = half_height > radius
@@ -58,9 +57,7 @@ def orbit(
     return views
 
 
-def upright_cylinder(
-    gaussians: ds.Gaussians, up: Float64[np.ndarray, " 3"]
-) -> tuple[Float64[np.ndarray, " 3"], float, float]:
+def upright_cylinder(gaussians: ds.Gaussians, up: Vector3) -> tuple[Vector3, float, float]:
     """Middle, half height and radius of the scene, whatever few Gaussians float far off."""
     points, mass = gaussians.means.astype(np.float64), gaussians.opacities
     low, high = (np.array([weighted_quantile(axis, mass, q) for axis in points.T]) for q in (0.002, 0.998))
@@ -77,9 +74,7 @@ def weighted_quantile(values: np.ndarray, weights: np.ndarray, q: float) -> floa
     return float(values[order][np.searchsorted(cumulated, q * cumulated[-1])])
 
 
-def look_at(
-    eye: Float64[np.ndarray, " 3"], target: Float64[np.ndarray, " 3"], up: Float64[np.ndarray, " 3"]
-) -> Float64[np.ndarray, "4 4"]:
+def look_at(eye: Vector3, target: Vector3, up: Vector3) -> Matrix4:
     """cam_from_world of a camera at `eye`, in OpenCV axes: +x right, +y down, +z forward."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, up)
@@ -103,7 +98,7 @@ class ColourEncoder:
         shape = (3, self.identity.dim // 2)
         self._frequencies = np.random.default_rng(0).standard_normal(shape) / COLOUR_WIDTH
 
-    def encode_lab(self, lab: Float64[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 512"]:
+    def encode_lab(self, lab: Points) -> Float32[np.ndarray, "n 512"]:
         phases = lab @ self._frequencies
         features = np.hstack([np.cos(phases), np.sin(phases)])
         features /= np.linalg.norm(features, axis=1, keepdims=True)
@@ -114,9 +109,7 @@ class ColourEncoder:
         return self.encode_lab(rgb2lab(np.array([COLOURS[text] for text in texts]) / 255))
 
 
-def colour_patches(
-    rgb: Float32[np.ndarray, "h w 3"], alpha: Float32[np.ndarray, "h w"]
-) -> tuple[Int32[np.ndarray, "h w"], Float64[np.ndarray, "s 3"]]:
+def colour_patches(rgb: Image, alpha: PixelNumbers) -> tuple[MaskIds, Float64[np.ndarray, "s 3"]]:
     """Segment map of connected patches of one colour, and the mean Lab colour of each.
 
     rgb is over black, so that rgb / alpha is the object's own colour. Pixels of alpha < 0.5 are -1.

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import ndtr
 
-from drsplat.base.arrays import Bool, Float64, Integer
+from drsplat.base.arrays import Float64, Matrix3, OtherDoubles, OtherFlags, OtherPoints, RowIds, Vector3
 from drsplat.kernels.boxes import MAX_STRAY_SHARE, MIN_TAIL_SPARSENESS, OUTLIER_SHARE
 from drsplat.scene.boxes import Box
 from drsplat.scene.gaussians import Gaussians
@@ -15,7 +15,7 @@ FEWEST = 4  # points: fewer have no axes in space
 TAILS = np.append(0, MAX_STRAY_SHARE * 0.77 ** np.arange(11, -1, -1))  # shares of the mass that a tail may have
 
 
-def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
+def box_of(gaussians: Gaussians, ids: RowIds, up: Vector3 | None = None) -> Box:
     part = gaussians.subset(ids)
     mass = part.opacities.astype(np.float64)
     mass = mass if mass.sum() > 0 else np.ones(len(part))
@@ -29,9 +29,7 @@ def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.
     return Box((low + high) / 2 @ axes + gaussians.origin, axes, high - low)
 
 
-def without_strays(
-    points: Float64[np.ndarray, "m 3"], mass: Float64[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None
-) -> Bool[np.ndarray, " m"]:
+def without_strays(points: OtherPoints, mass: OtherDoubles, up: Vector3 | None) -> OtherFlags:
     """Return which points are in the core along each axis. mass: sums to 1.
 
     Axes of everything may be turned by strays, so that a second round has better ones.
@@ -46,7 +44,7 @@ def without_strays(
     return inside
 
 
-def core(values: Float64[np.ndarray, " m"], mass: Float64[np.ndarray, " m"]) -> tuple[float, float]:
+def core(values: OtherDoubles, mass: OtherDoubles) -> tuple[float, float]:
     """Return the interval between two tails that has the largest mass^SPARSE / length. mass: sums to 1."""
     lows, highs = _tail(values, mass), -_tail(-values, mass)
     length = highs - lows[:, None]
@@ -56,7 +54,7 @@ def core(values: Float64[np.ndarray, " m"], mass: Float64[np.ndarray, " m"]) -> 
     return float(lows[low]), float(highs[high])
 
 
-def _tail(values: Float64[np.ndarray, " m"], mass: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, " t"]:
+def _tail(values: OtherDoubles, mass: OtherDoubles) -> Float64[np.ndarray, " t"]:
     """Return, for each share of TAILS, the first value with more of the mass up to it, itself included."""
     order = np.argsort(values, kind="stable")
     first = np.searchsorted(np.cumsum(mass[order]), TAILS, side="right")
@@ -64,10 +62,7 @@ def _tail(values: Float64[np.ndarray, " m"], mass: Float64[np.ndarray, " m"]) ->
 
 
 def mixture_quantile(
-    means: Float64[np.ndarray, "m k"],
-    deviations: Float64[np.ndarray, "m k"],
-    mass: Float64[np.ndarray, " m"],
-    share: float,
+    means: Float64[np.ndarray, "m k"], deviations: Float64[np.ndarray, "m k"], mass: OtherDoubles, share: float
 ) -> Float64[np.ndarray, " k"]:
     """Per column, below which value `share` of a mixture of normal distributions lies. mass: sums to 1."""
     if share > 0.5:
@@ -76,10 +71,7 @@ def mixture_quantile(
 
 
 def _low_quantile(
-    means: Float64[np.ndarray, "m k"],
-    deviations: Float64[np.ndarray, "m k"],
-    mass: Float64[np.ndarray, " m"],
-    share: float,
+    means: Float64[np.ndarray, "m k"], deviations: Float64[np.ndarray, "m k"], mass: OtherDoubles, share: float
 ) -> Float64[np.ndarray, " k"]:
     """By bisection, among those alone that reach so low: half of each lies below its mean, which bounds the answer.
 
@@ -100,16 +92,14 @@ def _low_quantile(
     return np.asarray((low + high) / 2)
 
 
-def _variances(covariances: Float64[np.ndarray, "m 6"], axes: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "m 3"]:
+def _variances(covariances: Float64[np.ndarray, "m 6"], axes: Matrix3) -> OtherPoints:
     """Of each Gaussian along each axis."""
     a, b = np.triu_indices(3)
     twice = np.where(a == b, 1.0, 2.0)
     return np.asarray(np.maximum(np.einsum("mc,ac->ma", covariances, twice * axes[:, a] * axes[:, b]), 0))
 
 
-def _axes(
-    points: Float64[np.ndarray, "m 3"], mass: Float64[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None
-) -> Float64[np.ndarray, "3 3"]:
+def _axes(points: OtherPoints, mass: OtherDoubles, up: Vector3 | None) -> Matrix3:
     """The principal axes, or those in the plane, and up."""
     if up is None:
         return _principal(points, mass)
@@ -119,15 +109,13 @@ def _axes(
     return np.concatenate([_principal(np.einsum("mi,pi->mp", points, plane), mass) @ plane, up[None]])
 
 
-def _principal(points: Float64[np.ndarray, "m k"], mass: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, "k k"]:
+def _principal(points: Float64[np.ndarray, "m k"], mass: OtherDoubles) -> Float64[np.ndarray, "k k"]:
     offsets = points - np.einsum("m,mk->k", mass, points) / mass.sum()
     spread = np.einsum("m,mi,mj->ij", mass, offsets, offsets)
     return np.asarray(np.linalg.eigh(spread)[1].T[::-1])
 
 
-def _ordered(
-    axes: Float64[np.ndarray, "3 3"], low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], free: int
-) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+def _ordered(axes: Matrix3, low: Vector3, high: Vector3, free: int) -> tuple[Matrix3, Vector3, Vector3]:
     """The first `free` axes by length, each towards where its largest part is positive; right-handed."""
     order = [*np.argsort(-(high - low)[:free], kind="stable").tolist(), *range(free, 3)]
     axes, low, high = axes[order], low[order], high[order]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drsplat.base.arrays import Bool, Float, Float64, Int, Int64
+from drsplat.base.arrays import Bool, Doubles, Flags, Float, Float64, Int, Int64, Mask
 from drsplat.scene.views import View
 
 from .projection import MIN_ALPHA, ROUNDING, TILE, Projection, Splats, project
@@ -33,7 +33,7 @@ class Contributors(NamedTuple):
     weights: Float64[np.ndarray, " e"]
     depths: Float64[np.ndarray, " e"]
     transmittance: Float64[np.ndarray, "h w"]
-    unsure: Bool[np.ndarray, "h w"]
+    unsure: Mask
 
 
 def contributors(splats: Splats, view: View, first_hits: int | None = None) -> Contributors:
@@ -87,7 +87,7 @@ def _alphas(
 ) -> tuple[Float64[np.ndarray, "m h w"], Float64[np.ndarray, "m h w"]]:
     """Opacity times falloff at the pixel centres, and the float32 band of its logarithm."""
 
-    def column(values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "m 1 1"]:
+    def column(values: Doubles) -> Float64[np.ndarray, "m 1 1"]:
         return values[members, None, None]
 
     dx = np.arange(columns.start, columns.stop) + 0.5 - column(projection.centers[:, 0])
@@ -103,7 +103,7 @@ def _alphas(
     return alphas, np.maximum(ALPHA_BAND, error + column(projection.dimming_error))
 
 
-def _covers(rectangles: Int[np.ndarray, "n 4"], rows: slice, columns: slice) -> Bool[np.ndarray, " n"]:
+def _covers(rectangles: Int[np.ndarray, "n 4"], rows: slice, columns: slice) -> Flags:
     tile = np.array([columns.start, rows.start]) // TILE
     inside = (rectangles[:, :2] <= tile) & (tile < rectangles[:, 2:])
     return np.asarray(inside.all(axis=1))

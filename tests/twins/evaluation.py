@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drsplat.base.arrays import Float64, Integer
+from drsplat.base.arrays import Float64, Matrices, RowIds, WholeNumbers
 from drsplat.scene.gaussians import Gaussians
 
 Positions = Float64[np.ndarray, "m 3"]
@@ -17,7 +17,7 @@ def squared_distances(gaussians: Gaussians, positions: Positions) -> Float64[np.
 
 
 def density_votes(
-    gaussians: Gaussians, positions: Positions, labels: Integer[np.ndarray, " m"], cut_off: float
+    gaussians: Gaussians, positions: Positions, labels: RowIds, cut_off: float
 ) -> Float64[np.ndarray, "n s"]:
     """Return the sum of exp(-d^2 / 2) over the near points of each label 0 to max(labels)."""
     squared = squared_distances(gaussians, positions)
@@ -25,16 +25,12 @@ def density_votes(
     return np.stack([votes[:, labels == s].sum(1) for s in range(int(labels.max()) + 1)], axis=1)
 
 
-def density_labels(
-    gaussians: Gaussians, positions: Positions, labels: Integer[np.ndarray, " m"], cut_off: float
-) -> Integer[np.ndarray, " n"]:
+def density_labels(gaussians: Gaussians, positions: Positions, labels: RowIds, cut_off: float) -> WholeNumbers:
     votes = density_votes(gaussians, positions, labels, cut_off)
     return np.where(votes.any(1), votes.argmax(1), -1)
 
 
-def printed_labels(
-    gaussians: Gaussians, positions: Positions, labels: Integer[np.ndarray, " m"]
-) -> Integer[np.ndarray, " n"]:
+def printed_labels(gaussians: Gaussians, positions: Positions, labels: RowIds) -> WholeNumbers:
     """Return the argmax over labels of the sum of squared distances.  Source: Dr. Splat Eq. 2."""
     squared = squared_distances(gaussians, positions)
     names = np.unique(labels)
@@ -43,7 +39,7 @@ def printed_labels(
 
 
 def voxel_scores(
-    gaussians: Gaussians, labels: Integer[np.ndarray, " n"], voxels: Positions, num_labels: int, cut_off: float
+    gaussians: Gaussians, labels: WholeNumbers, voxels: Positions, num_labels: int, cut_off: float
 ) -> Float64[np.ndarray, "v s"]:
     """Return the sum over i of alpha_i 1{label_i = s} N(v | mu_i, Sigma_i).  Source: Dr. Splat Eq. 4."""
     squared = squared_distances(gaussians, voxels)
@@ -53,7 +49,7 @@ def voxel_scores(
     return np.stack([mass[labels == s].sum(0) for s in range(num_labels)], axis=1)
 
 
-def _matrices(gaussians: Gaussians) -> Float64[np.ndarray, "n 3 3"]:
+def _matrices(gaussians: Gaussians) -> Matrices:
     full = np.empty((len(gaussians), 3, 3))
     rows, columns = np.triu_indices(3)
     full[:, rows, columns] = full[:, columns, rows] = gaussians.covariances()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drsplat.base.arrays import Float, Float64
+from drsplat.base.arrays import Doubles, Float, Float64, Points
 from drsplat.scene.views import View
 
 from .training import Branches, Entries, Footprints, Parameters, alphas_of, composite, decide, float64_of, footprints
@@ -24,12 +24,12 @@ class Gradients(NamedTuple):
     is 2 wide and 2 high.
     """
 
-    means: Float64[np.ndarray, "n 3"]
-    log_scales: Float64[np.ndarray, "n 3"]
+    means: Points
+    log_scales: Points
     quats: Float64[np.ndarray, "n 4"]
-    logits: Float64[np.ndarray, " n"]
+    logits: Doubles
     sh: Float64[np.ndarray, "n k 3"]
-    screen: Float64[np.ndarray, " n"]
+    screen: Doubles
 
 
 def gradients(

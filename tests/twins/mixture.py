@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drsplat.base.arrays import Float, Float64, Int32, Int64, UInt8
+from drsplat.base.arrays import ByteRows, Doubles, Float, Float64, Ids, IndexRows, Indices, Int32, Int64
 from drsplat.kernels.mixture import Blocks, Candidates, Dictionary, Encoded
 
 DEPENDENT = 1e-4  # an atom adds nothing if its squared sine to the chosen ones is below
@@ -93,7 +93,7 @@ def _explained(candidates: np.ndarray, feature: np.ndarray, chosen: list[int]) -
     return float(((np.linalg.qr(candidates[chosen].T)[0].T @ feature) ** 2).sum())
 
 
-def nearest_centres(points: Float[np.ndarray, "n D"], centres: Float[np.ndarray, "c D"]) -> Int64[np.ndarray, " n"]:
+def nearest_centres(points: Float[np.ndarray, "n D"], centres: Float[np.ndarray, "c D"]) -> Indices:
     """The centre of largest inner product with each point, ties to the lowest."""
     return np.asarray((points.astype(np.float64) @ centres.astype(np.float64).T).argmax(axis=1))
 
@@ -101,7 +101,7 @@ def nearest_centres(points: Float[np.ndarray, "n D"], centres: Float[np.ndarray,
 def nearest_members(
     points: Float[np.ndarray, "n D"],
     dictionary: Dictionary,
-    groups: Int32[np.ndarray, " n"],
+    groups: Ids,
     members: Int32[np.ndarray, "g m"],
     wanted: int,
 ) -> Int32[np.ndarray, "n w"]:
@@ -112,7 +112,7 @@ def nearest_members(
     return np.take_along_axis(members[groups], order, axis=1)
 
 
-def in_rows(blocks: Blocks) -> tuple[Int64[np.ndarray, "n k"], UInt8[np.ndarray, "n k"]]:
+def in_rows(blocks: Blocks) -> tuple[IndexRows, ByteRows]:
     """Ids and weights row by row."""
     count = len(blocks.scales)
     shape = (-1, blocks.ids.shape[1])
@@ -132,7 +132,7 @@ def mixture_scores(
 
 def mixture_best(
     blocks: Blocks, dictionary: Dictionary, queries: Float[np.ndarray, "c D"]
-) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+) -> tuple[Indices, Doubles, Doubles]:
     """Index and score of the best query of each row, and the second best score (-inf for one query)."""
     scores = mixture_scores(blocks, dictionary, queries)
     ranked = np.sort(scores, axis=0)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from drsplat.base.arrays import Float64, UInt8
+from drsplat.base.arrays import Float64, Pixels
 from drsplat.kernels.photo_regions import Layers
 
 BLOCKS, PERSON = 17, 15
@@ -13,7 +13,7 @@ HALVED, REACHING = (1, 3, 6), (14, 15, 16)  # blocks of which every second pixel
 Pairs = Iterator[tuple[np.ndarray, np.ndarray]]
 
 
-def people(image: UInt8[np.ndarray, "h w 3"], layers: Layers) -> Float64[np.ndarray, "h w"]:
+def people(image: Pixels, layers: Layers) -> Float64[np.ndarray, "h w"]:
     """As the native one."""
     pairs = iter([(layers[i].astype(np.float64), layers[i + 1].astype(np.float64)) for i in range(0, len(layers), 2)])
     weight, bias = next(pairs)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drsplat.base.arrays import Float64, Int64
+from drsplat.base.arrays import Float64, Indices, Int64
 from drsplat.kernels.photo_regions import AREA, AROUND, LENGTH, RegionGraph
 
 from .photo_features import pair_features
@@ -61,7 +61,7 @@ class Merging:
             self._union(min(i, best), max(i, best))
             heapq.heappush(queue, (float(self.sums[min(i, best), AREA]), min(i, best)))
 
-    def labels(self) -> Int64[np.ndarray, " n"]:
+    def labels(self) -> Indices:
         """The new number of each region, from 0 in the order of the lowest region of each."""
         for i in range(len(self.owner)):  # owners are lower, so they are final already
             self.owner[i] = self.owner[self.owner[i]]

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from drsplat.base.arrays import Float64, UInt8
+from drsplat.base.arrays import Float64, Pixels
 from drsplat.kernels.photo_regions import BORDER_STEPS, MAX_TRAIT, TRAIT_STEPS, Layers, Sight
 
 
-def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers) -> Sight:
+def look(image: Pixels, layers: Layers) -> Sight:
     """As the native one."""
     height, width = image.shape[:2]
     pairs = [(layers[i].astype(np.float64), layers[i + 1].astype(np.float64)) for i in range(0, len(layers), 2)]

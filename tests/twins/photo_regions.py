@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drsplat.base.arrays import Float64, Int32, Int64, UInt8
+from drsplat.base.arrays import Float64, Int32, Int64, MaskIds, Pixels
 from drsplat.kernels.photo_regions import (
     AREA,
     AROUND,
@@ -26,14 +26,14 @@ SIGMA = 0.5  # pixels that are blurred before
 _RANGES = ((0.0, 100.0), (-60.0, 60.0), (-60.0, 60.0))
 
 
-def lab_colors(image: UInt8[np.ndarray, "h w 3"]) -> Int32[np.ndarray, "h w 3"]:
+def lab_colors(image: Pixels) -> Int32[np.ndarray, "h w 3"]:
     """CIELAB in steps of 1 / LAB_STEPS."""
     from skimage.color import rgb2lab
 
     return np.asarray(np.rint(rgb2lab(image) * LAB_STEPS), np.int32)
 
 
-def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> Int32[np.ndarray, "h w"]:
+def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> MaskIds:
     """As Felzenszwalb and Huttenlocher have it; what costs the same is taken in the order of `_neighbours`."""
     costs, ends = _neighbours(lab)
     order = np.argsort(costs, kind="stable")
@@ -51,7 +51,7 @@ def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> 
     return np.unique(roots, return_inverse=True)[1].reshape(lab.shape[:2]).astype(np.int32)
 
 
-def flooded(heights: Int32[np.ndarray, "h w"], markers: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+def flooded(heights: MaskIds, markers: MaskIds) -> MaskIds:
     """The twin of `kernels.photo_regions.flooded`: the lowest reached pixel goes on, of equal ones the oldest."""
     owner = markers.copy()
     reached = [(heights[at], turn, at) for turn, at in enumerate(zip(*np.nonzero(markers), strict=True))]
@@ -106,7 +106,7 @@ class _Forest:
             self.inner[first] = cost
 
 
-def region_graph(labels: Int32[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight) -> RegionGraph:
+def region_graph(labels: MaskIds, lab: Int32[np.ndarray, "h w 3"], sight: Sight) -> RegionGraph:
     """Return the sums over regions and over the borders between them."""
     count = int(labels.max()) + 1
     pairs, borders = _borders(labels, lab, sight)
@@ -145,7 +145,7 @@ def _histograms(
     )
 
 
-def _texture(lightness: Int32[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
+def _texture(lightness: MaskIds) -> Float64[np.ndarray, "h w"]:
     """How unlike its left and upper neighbours a pixel is, in steps of CIELAB."""
     texture = np.zeros(lightness.shape)
     texture[:, 1:] += np.abs(np.diff(lightness, axis=1))
@@ -153,7 +153,7 @@ def _texture(lightness: Int32[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
     return texture
 
 
-def _boxes(labels: Int32[np.ndarray, "h w"], count: int) -> Float64[np.ndarray, "n 4"]:
+def _boxes(labels: MaskIds, count: int) -> Float64[np.ndarray, "n 4"]:
     from scipy.ndimage import find_objects
 
     boxes = np.zeros((count, 4))
@@ -163,7 +163,7 @@ def _boxes(labels: Int32[np.ndarray, "h w"], count: int) -> Float64[np.ndarray, 
 
 
 def _borders(
-    labels: Int32[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight
+    labels: MaskIds, lab: Int32[np.ndarray, "h w 3"], sight: Sight
 ) -> tuple[Int32[np.ndarray, "e 2"], Float64[np.ndarray, "e 5"]]:
     """Touching regions and the sums over their border: see RegionGraph."""
     turned = Sight(sight.borders.T, sight.traits.transpose(1, 0, 2))
@@ -177,7 +177,7 @@ def _borders(
 
 
 def _sides(
-    labels: Int32[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight
+    labels: MaskIds, lab: Int32[np.ndarray, "h w 3"], sight: Sight
 ) -> tuple[Int32[np.ndarray, "s 2"], Float64[np.ndarray, "s 5"]]:
     """Pixel sides between two columns where regions meet: both regions, and 1, steps of colour, of chroma, what the
     network says of the two pixels, step of traits.

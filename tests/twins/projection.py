@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from drsplat.base.arrays import Float, Float64, Int
+from drsplat.base.arrays import Doubles, Float, Float64, Int, Matrices, PlanePoints, Points, Vector3
 from drsplat.scene.views import View
 
 TILE = 16
@@ -36,7 +36,7 @@ class Splats(Protocol):
     @property
     def near(self) -> float: ...
     @property
-    def origin(self) -> Float64[np.ndarray, " 3"]: ...
+    def origin(self) -> Vector3: ...
     @property
     def antialiased(self) -> bool: ...
 
@@ -54,15 +54,15 @@ class Projection(NamedTuple):
     """
 
     ids: Int[np.ndarray, " n"]
-    opacities: Float64[np.ndarray, " n"]
-    centers: Float64[np.ndarray, "n 2"]
-    center_error: Float64[np.ndarray, "n 2"]
-    depths: Float64[np.ndarray, " n"]
-    depth_error: Float64[np.ndarray, " n"]
-    conics: Float64[np.ndarray, "n 3"]
-    covariance_error: Float64[np.ndarray, " n"]
-    cancellation: Float64[np.ndarray, " n"]
-    dimming_error: Float64[np.ndarray, " n"]
+    opacities: Doubles
+    centers: PlanePoints
+    center_error: PlanePoints
+    depths: Doubles
+    depth_error: Doubles
+    conics: Points
+    covariance_error: Doubles
+    cancellation: Doubles
+    dimming_error: Doubles
     tiles: Int[np.ndarray, "n 4"]
     certain_tiles: Int[np.ndarray, "n 4"]
     possible_tiles: Int[np.ndarray, "n 4"]
@@ -124,7 +124,7 @@ def project(splats: Splats, view: View) -> Projection:
     )
 
 
-def dimming(sharp: Float64[np.ndarray, "n 3"], widened: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+def dimming(sharp: Points, widened: Points) -> Doubles:
     """Return the factor sqrt(det sharp / det widened) on opacities: a splat's light stays as its area grows.
 
     sharp, widened: xx, xy, yy of a splat's covariance before and after BLUR was added.
@@ -135,14 +135,12 @@ def dimming(sharp: Float64[np.ndarray, "n 3"], widened: Float64[np.ndarray, "n 3
     return np.asarray(np.sqrt(np.clip(ratio, 0, 1)))
 
 
-def determinants_of(covariances: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+def determinants_of(covariances: Points) -> Doubles:
     a, b, c = covariances.T
     return np.asarray(a * c - b * b)
 
 
-def _dimming_error(
-    sharp: Float64[np.ndarray, "n 3"], cancellation: Float64[np.ndarray, " n"], depth_error: Float64[np.ndarray, " n"]
-) -> Float64[np.ndarray, " n"]:
+def _dimming_error(sharp: Points, cancellation: Doubles, depth_error: Doubles) -> Doubles:
     """Half the relative errors of both determinants; without bound where a splat is a line."""
     a, b, c = sharp.T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -151,7 +149,7 @@ def _dimming_error(
     return np.asarray(0.5 * relative * (np.nan_to_num(magnified, nan=np.inf) + cancellation))
 
 
-def _front_to_back(splats: Splats, depths: Float64[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+def _front_to_back(splats: Splats, depths: Doubles) -> Int[np.ndarray, " n"]:
     """Return the rows by depth; of one depth by the bits of place, covariance and opacity, then by index.
 
     Depths as float32, so that what is one depth to the native sort is one depth here.
@@ -161,9 +159,7 @@ def _front_to_back(splats: Splats, depths: Float64[np.ndarray, " n"]) -> Int[np.
     return np.lexsort((*reversed(bits), depths.astype(np.float32)))
 
 
-def _jacobian(
-    slopes: Float64[np.ndarray, "n 2"], depths: Float64[np.ndarray, " n"], view: View
-) -> Float64[np.ndarray, "n 2 3"]:
+def _jacobian(slopes: PlanePoints, depths: Doubles, view: View) -> Float64[np.ndarray, "n 2 3"]:
     """Derivative of pixel by camera point, at x/z and y/z clamped to +-1.3 tan(fov / 2).
 
     The clamp is symmetric about the optical axis as in 3DGS, also where the principal point is off
@@ -177,9 +173,7 @@ def _jacobian(
     return jacobian
 
 
-def _three_sigma(
-    covariances: Float64[np.ndarray, "n 3"], error: Float64[np.ndarray, " n"]
-) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+def _three_sigma(covariances: Points, error: Doubles) -> tuple[Doubles, Doubles]:
     """Three standard deviations along the long axis, not yet rounded up, and its error bound.
 
     The discriminant is floored at 0.1 as in 3DGS. Where it is small (round ellipses) the root
@@ -193,9 +187,7 @@ def _three_sigma(
     return radius, 4.5 * variance_error / radius + ROUNDING * radius
 
 
-def _tile_rectangles(
-    centers: Float64[np.ndarray, "n 2"], reach: Float64[np.ndarray, " n"], visible: np.ndarray
-) -> Int[np.ndarray, "n 4"]:
+def _tile_rectangles(centers: PlanePoints, reach: Doubles, visible: np.ndarray) -> Int[np.ndarray, "n 4"]:
     """Tiles (x0, y0, x1, y1) of the square of half width `reach`, empty where not visible.
 
     3DGS counts from pixel centres at integers, hence the half pixel, and rounds up with TILE - 1.
@@ -207,9 +199,9 @@ def _tile_rectangles(
     return np.asarray(rectangles, np.int64)
 
 
-def _symmetric(upper: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 3 3"]:
+def _symmetric(upper: Float64[np.ndarray, "n 6"]) -> Matrices:
     return upper[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
 
 
-def _upper(matrices: Float64[np.ndarray, "n 2 2"]) -> Float64[np.ndarray, "n 3"]:
+def _upper(matrices: Float64[np.ndarray, "n 2 2"]) -> Points:
     return matrices[:, [0, 0, 1], [0, 1, 1]]

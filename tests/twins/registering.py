@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drsplat.base.arrays import Bool, Float, Float64, Int, Int32
+from drsplat.base.arrays import AnyPoints, Float, Float64, Int, Mask, MaskIds, Points
 from drsplat.scene.views import View
 
 from .compositing import Contributors, contributors, rank_in_pixel, select
@@ -44,12 +44,7 @@ class Rendering(NamedTuple):
 
 
 def view_weights(
-    splats: Splats,
-    view: View,
-    mask_ids: Int32[np.ndarray, "h w"],
-    topk: int | None = 40,
-    *,
-    first_hits: int | None = None,
+    splats: Splats, view: View, mask_ids: MaskIds, topk: int | None = 40, *, first_hits: int | None = None
 ) -> Triples:
     """Sum, per Gaussian and mask, the blending weights over the mask's pixels.
 
@@ -70,9 +65,7 @@ def render_channels(
     return weighted_sums(contributors(splats, view), values, background)
 
 
-def sh_colors(
-    sh: Float[np.ndarray, "n k 3"], means: Float[np.ndarray, "n 3"], center: Float[np.ndarray, " 3"]
-) -> Float64[np.ndarray, "n 3"]:
+def sh_colors(sh: Float[np.ndarray, "n k 3"], means: AnyPoints, center: Float[np.ndarray, " 3"]) -> Points:
     """Colours seen from `center`: max(0, 0.5 + SH(unit direction from the camera to the mean))."""
     directions = means.astype(np.float64) - center
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -80,7 +73,7 @@ def sh_colors(
     return np.asarray(np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", basis, sh.astype(np.float64))))
 
 
-def sh_basis(directions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 16"]:
+def sh_basis(directions: Points) -> Float64[np.ndarray, "n 16"]:
     """Real spherical harmonics of degrees 0-3, Condon-Shortley phase included as in 3DGS files."""
     x, y, z = directions.T
     basis = [
@@ -137,7 +130,7 @@ def weighted_sums(
     return Rendering(channels, alpha, depth)
 
 
-def mask_sums(seen: Contributors, mask_ids: Int32[np.ndarray, "h w"]) -> Triples:
+def mask_sums(seen: Contributors, mask_ids: MaskIds) -> Triples:
     """Sum the weights of each (Gaussian, mask) pair."""
     masks = mask_ids.ravel()[seen.pixels].astype(np.int64)
     covered = masks >= 0
@@ -147,7 +140,7 @@ def mask_sums(seen: Contributors, mask_ids: Int32[np.ndarray, "h w"]) -> Triples
     return Triples(keys // stride, keys % stride, weights)
 
 
-def on_boundary(seen: Contributors, k: int | None) -> Bool[np.ndarray, "h w"]:
+def on_boundary(seen: Contributors, k: int | None) -> Mask:
     """Mark the pixels whose k largest contributors a float32 kernel may choose differently."""
     tied = np.zeros(seen.unsure.shape, bool)
     if k is not None:

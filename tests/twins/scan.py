@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drsplat.base.arrays import Float, Float64, Int64
+from drsplat.base.arrays import Float, Float64, Indices, Int64
 from drsplat.kernels.scan import GroupedRows, QueryTables, rows_of_groups
 
 
@@ -36,9 +36,7 @@ def top(scores: Float[np.ndarray, " n"], count: int) -> Int64[np.ndarray, " h"]:
     return np.argsort(-scores, kind="stable")[:count].astype(np.int64)
 
 
-def best(
-    scores: Float[np.ndarray, "q n"],
-) -> tuple[Int64[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+def best(scores: Float[np.ndarray, "q n"]) -> tuple[Indices, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """The query of the highest score of each row (ties to the first), that score, the next highest."""
     index = scores.argmax(axis=0)
     ordered = np.sort(np.vstack([np.full_like(scores[:1], -np.inf), scores]), axis=0)

@@ -12,7 +12,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drsplat.base.arrays import Bool, Float, Float64, Int
+from drsplat.base.arrays import (
+    AnyPoints,
+    Bool,
+    Doubles,
+    Float,
+    Float64,
+    Int,
+    Mask,
+    Matrices,
+    PlanePoints,
+    Points,
+    Vector3,
+)
 from drsplat.scene.gaussians import PUBLISHED_NEAR
 from drsplat.scene.views import View
 
@@ -27,8 +39,8 @@ class Parameters(NamedTuple):
     Activated: exp of log_scales, sigmoid of logits, quats (w, x, y, z) divided by their length.
     """
 
-    means: Float[np.ndarray, "n 3"]
-    log_scales: Float[np.ndarray, "n 3"]
+    means: AnyPoints
+    log_scales: AnyPoints
     quats: Float[np.ndarray, "n 4"]
     logits: Float[np.ndarray, " n"]
     sh: Float[np.ndarray, "n k 3"]
@@ -61,24 +73,24 @@ class Decisions(NamedTuple):
 
     entries: Entries
     branches: Branches
-    unsure: Bool[np.ndarray, "h w"]
+    unsure: Mask
 
 
 class Footprints(NamedTuple):
     """What compositing sees of each Gaussian. covariances: xx, xy, yy in pixels squared."""
 
-    centers: Float64[np.ndarray, "n 2"]
-    covariances: Float64[np.ndarray, "n 3"]
-    opacities: Float64[np.ndarray, " n"]
-    colors: Float64[np.ndarray, "n 3"]
+    centers: PlanePoints
+    covariances: Points
+    opacities: Doubles
+    colors: Points
 
 
 class _Splats(NamedTuple):
     means: Float64[np.ndarray, "3 n"]
     covariances: Float64[np.ndarray, "6 n"]
-    opacities: Float64[np.ndarray, " n"]
+    opacities: Doubles
     near: float
-    origin: Float64[np.ndarray, " 3"]
+    origin: Vector3
     antialiased: bool
 
 
@@ -167,7 +179,7 @@ def alphas_of(marks: Footprints, entries: Entries, width: int) -> Float64[np.nda
     return np.asarray(np.where(entries.capped, MAX_ALPHA, alphas))
 
 
-def _raw_colors(scene: Parameters, view: View, sh_degree: int) -> Float64[np.ndarray, "n 3"]:
+def _raw_colors(scene: Parameters, view: View, sh_degree: int) -> Points:
     """0.5 + SH of the active degrees, not yet cut at zero."""
     directions = scene.means - view.center
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -176,7 +188,7 @@ def _raw_colors(scene: Parameters, view: View, sh_degree: int) -> Float64[np.nda
     return np.asarray(0.5 + np.einsum("nk,nkc->nc", basis, scene.sh[:, :active]))
 
 
-def _covariances(scene: Parameters) -> Float64[np.ndarray, "n 3 3"]:
+def _covariances(scene: Parameters) -> Matrices:
     w, x, y, z = (scene.quats / np.linalg.norm(scene.quats, axis=1, keepdims=True)).T
     rotation = np.array(
         [
@@ -189,7 +201,7 @@ def _covariances(scene: Parameters) -> Float64[np.ndarray, "n 3 3"]:
     return np.asarray(axes @ axes.transpose(0, 2, 1))
 
 
-def _slopes(scene: Parameters, view: View) -> Float64[np.ndarray, "n 2"]:
+def _slopes(scene: Parameters, view: View) -> PlanePoints:
     points = scene.means @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
     return np.asarray(points[:, :2] / points[:, 2:])
 
@@ -199,7 +211,7 @@ def _limits(view: View) -> Float64[np.ndarray, " 2"]:
     return np.asarray(FRUSTUM_MARGIN * 0.5 * np.array([view.width, view.height]) / focal)
 
 
-def _sigmoid(logits: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+def _sigmoid(logits: Doubles) -> Doubles:
     return np.asarray(1 / (1 + np.exp(-logits)))
 
 

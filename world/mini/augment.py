@@ -1,25 +1,24 @@
 """What happens to a crop before it is learned: worse masks, things half hidden, other light, other paint."""
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion
 
+from drsplat.base.arrays import Mask, Pixels
 from drsplat.photos.models.mini.encoder import INPUT_SIDE_PIXELS
 from drsplat.scene.masks.crops import crop
 from drsplat.scene.masks.masks import tight_box
 
 
-def cut_out(image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]) -> UInt8[np.ndarray, "s s 3"]:
+def cut_out(image: Pixels, mask: Mask) -> UInt8[np.ndarray, "s s 3"]:
     """What `mini` sees of a mask: its crop as `drsplat.scene.masks.crops` makes it, SIDE pixels."""
     x0, y0, x1, y1 = tight_box(mask) or (0, 0, 1, 1)
     square = crop(image, mask[y0:y1, x0:x1], (x0, y0, x1, y1))
     return np.asarray(Image.fromarray(square).resize((INPUT_SIDE_PIXELS, INPUT_SIDE_PIXELS), Image.Resampling.BILINEAR))
 
 
-def augmented(
-    image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"], rng: np.random.Generator
-) -> UInt8[np.ndarray, "s s 3"]:
+def augmented(image: Pixels, mask: Mask, rng: np.random.Generator) -> UInt8[np.ndarray, "s s 3"]:
     """A crop as a segmenter might have made it of another photo of the same thing."""
     if rng.random() < 0.3:
         image = _coarser(image, rng)

@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, Float64
 from skimage.color import deltaE_ciede2000, rgb2lab
 
+from drsplat.base.arrays import Colors, OtherPoints, Points
 from drsplat.photos.models.mini.lexicon import COLORS
 
 NEAREST_NAMES = 6
@@ -75,7 +76,7 @@ def _stem(word: str) -> str:
     return STEMS.get(bare, bare)
 
 
-def term_shares(pixels: UInt8[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 11"]:
+def term_shares(pixels: Colors) -> Float32[np.ndarray, "n 11"]:
     """Return how far each sRGB pixel is called by each of COLORS, 1 in all."""
     red, green, blue = (pixels >> SHIFT).T
     return np.asarray(_cube()[red, green, blue])
@@ -91,12 +92,12 @@ def _cube() -> Float32[np.ndarray, "32 32 32 11"]:
     return np.concatenate(shares).reshape(LEVELS, LEVELS, LEVELS, -1).astype(np.float32)
 
 
-def _nearest(colors: Float64[np.ndarray, "n 3"], names: Float64[np.ndarray, "m 3"]) -> np.ndarray:
+def _nearest(colors: Points, names: OtherPoints) -> np.ndarray:
     distances = deltaE_ciede2000(colors[:, None], names[None])
     return np.argpartition(distances, NEAREST_NAMES, axis=1)[:, :NEAREST_NAMES]
 
 
-def _survey() -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 11"]]:
+def _survey() -> tuple[OtherPoints, Float64[np.ndarray, "m 11"]]:
     """Return the CIELAB colours of the names that mean a basic term, and how much they mean each."""
     from matplotlib.colors import XKCD_COLORS, to_rgb
 

@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import skimage
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Float32, Float64
 from PIL import Image
 from safetensors.numpy import save_file
 from scipy.optimize import minimize
 from skimage.color import lab2rgb, rgb2lab
 
+from drsplat.base.arrays import Mask, Pixels
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.photos.models.mini import MiniEncoder
 from drsplat.photos.models.mini.encoder import INPUT_SIDE_PIXELS
@@ -45,11 +46,11 @@ MOSTLY_ONE_THING = 0.7  # share of a mask's pixels in a room that show one thing
 SCALE, ITERATIONS = 40.0, 150  # of cosines in the softmax, and of L-BFGS
 NEUTRAL = np.isin(COLORS, ("black", "white", "grey"))
 
-Cut = tuple[UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]
+Cut = tuple[Pixels, Mask]
 Learned = tuple[Float32[np.ndarray, "n d"], Float64[np.ndarray, "n 11"]]
 
 
-def cuts(photo: UInt8[np.ndarray, "h w 3"], segmenter: GraphSegmenter) -> Iterator[tuple[Cut, np.ndarray]]:
+def cuts(photo: Pixels, segmenter: GraphSegmenter) -> Iterator[tuple[Cut, np.ndarray]]:
     """Yield the pixels and mask of each large enough segment, at SIDE pixels at most, and its part of the photo."""
     masks = segmenter.segment(photo)["large"]
     for number, (part, box) in enumerate(zip(masks.parts, masks.boxes, strict=True)):
@@ -143,13 +144,13 @@ def learned_from_photos(photos: Iterable[Path], encoder: MiniEncoder, seed: int 
     return embedded(shown, encoder), np.stack([wanted(cut) for cut in seen * UNCHANGED + painted])
 
 
-def gain_of(photo: UInt8[np.ndarray, "h w 3"]) -> float:
+def gain_of(photo: Pixels) -> float:
     """Return how many times brighter the linear pixels would be if the brightest were white: eyes adapt to that."""
     brightest = max(float(np.quantile(photo.max(2), WHITE_QUANTILE)), 1.0) / 255
     return float(np.clip(brightest**-GAMMA, 1, MAX_GAIN))
 
 
-def _exposed(pixels: UInt8[np.ndarray, "h w 3"], gain: float) -> UInt8[np.ndarray, "h w 3"]:
+def _exposed(pixels: Pixels, gain: float) -> Pixels:
     return np.clip(pixels * gain ** (1 / GAMMA), 0, 255).astype(np.uint8)
 
 
@@ -200,7 +201,7 @@ def _palette() -> list[np.ndarray]:
     return [rgb2lab(grid[None, shares[:, term] > 0.5] / 255)[0] for term in range(len(COLORS))]
 
 
-def _read(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+def _read(path: Path) -> Pixels:
     return np.asarray(Image.open(path).convert("RGB"))
 
 

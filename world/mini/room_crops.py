@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int32, UInt8
+from jaxtyping import Bool, UInt8
 from PIL import Image
 
+from drsplat.base.arrays import Ids, Mask, Pixels
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.scene.masks.masks import tight_box
 
@@ -50,14 +51,14 @@ def room_crops(folder: Path, masks: str) -> Iterator[RoomCrop]:
         yield from (_cut(photo, *pair) for k, pair in enumerate(found) if k not in spare)
 
 
-def _label(ids: Int32[np.ndarray, " n"], labels: dict[int, Label]) -> Label | None:
+def _label(ids: Ids, labels: dict[int, Label]) -> Label | None:
     """What most pixels of a mask show; None where that is not clear."""
     values, counts = np.unique(ids, return_counts=True)
     most = int(counts.argmax())
     return labels.get(int(values[most])) if counts[most] >= CLEAR * counts.sum() else None
 
 
-def _cut(photo: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"], label: Label) -> RoomCrop:
+def _cut(photo: Pixels, mask: Mask, label: Label) -> RoomCrop:
     """A square around the mask, black beyond the photo, at the size of the other crops."""
     x0, y0, x1, y1 = tight_box(mask) or (0, 0, 1, 1)
     reach = int(np.ceil(MARGIN * max(x1 - x0, y1 - y0) / 2))

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from drsplat.base.arrays import IndexRows
+
 LEAST_PIXELS = 200  # of a thing in a photo, below which it does not count
 
 
@@ -22,15 +24,13 @@ class Score:
     purity: float
 
 
-def shared_pixels(
-    labels: Int64[np.ndarray, "*p"], truth: Int64[np.ndarray, "*p"], things: int
-) -> Int64[np.ndarray, "n k"]:
+def shared_pixels(labels: Int64[np.ndarray, "*p"], truth: Int64[np.ndarray, "*p"], things: int) -> IndexRows:
     """Pixels of each label that show each thing."""
     count = int(labels.max()) + 1
     return np.bincount(labels.ravel() * things + truth.ravel(), minlength=count * things).reshape(count, things)
 
 
-def score(shared: Int64[np.ndarray, "n k"], is_object: Bool[np.ndarray, " k"]) -> Score:
+def score(shared: IndexRows, is_object: Bool[np.ndarray, " k"]) -> Score:
     shared = shared[shared.any(1)]
     area = shared.sum(0)
     iou = shared / np.maximum(shared.sum(1)[:, None] + area - shared, 1)

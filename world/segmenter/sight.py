@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float32, Int64, UInt8
+from jaxtyping import Float32, Int64
 from PIL import Image
 from safetensors.numpy import save_file
 from torch import Tensor, nn
 
+from drsplat.base.arrays import Pixels
 from drsplat.kernels.photo_regions import TRAITS
 from drsplat.photos.models.graph.segmenter import LEVELS
 
@@ -82,7 +83,7 @@ def batches(shown: Sequence[Photo], rng: np.random.Generator) -> Iterator[Batch]
         yield Batch(pixels.contiguous() * 2 - 1, things, (weights / weights.mean((1, 2), keepdim=True)).clamp(max=4))
 
 
-def piece(photo: Photo, rng: np.random.Generator) -> tuple[UInt8[np.ndarray, "h w 3"], Int64[np.ndarray, "h w"]]:
+def piece(photo: Photo, rng: np.random.Generator) -> tuple[Pixels, Int64[np.ndarray, "h w"]]:
     """A part of a photo at 0.6 to 2 times its size, mirrored or not."""
     full_height, full_width = photo.truth.shape
     shrink = np.exp(rng.uniform(np.log(0.5), np.log(1.6)))
@@ -96,7 +97,7 @@ def piece(photo: Photo, rng: np.random.Generator) -> tuple[UInt8[np.ndarray, "h 
     return (image[:, ::-1], owners[:, ::-1].copy()) if rng.random() < 0.5 else (image, owners)
 
 
-def repainted(image: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float32[np.ndarray, "h w 3"]:
+def repainted(image: Pixels, rng: np.random.Generator) -> Float32[np.ndarray, "h w 3"]:
     """Under other light and in other paints, 0 to 1, with noise."""
     x = image.astype(np.float32) / 255
     if rng.random() < 0.7:

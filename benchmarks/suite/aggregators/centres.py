@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Int32, Int64
+from jaxtyping import Int64
 
 from drsplat import View
+from drsplat.base.arrays import Indices, MaskIds
 from drsplat.errors import InputError
 from drsplat.field.evidence.aggregation import Sampling
 from drsplat.kernels import SplatArrays, Triples, view_weights
@@ -29,11 +30,11 @@ class CentrePixels(Sampling):
         if (self.topk, self.first_hits) != (None, None):
             raise InputError("centre pixels count whatever their rank: leave topk and first_hits at None")
 
-    def triples(self, splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], threads: int = 0) -> Triples:
+    def triples(self, splats: SplatArrays, view: View, mask_ids: MaskIds, threads: int = 0) -> Triples:
         return centre_weights(splats, view, mask_ids, threads=threads)
 
 
-def centre_weights(splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], *, threads: int = 0) -> Triples:
+def centre_weights(splats: SplatArrays, view: View, mask_ids: MaskIds, *, threads: int = 0) -> Triples:
     """Per Gaussian its blending weight alpha T at the pixel of its centre, and the mask there.
 
     At most one entry per Gaussian; none where it adds nothing there, or where no mask is.
@@ -54,7 +55,7 @@ def centre_weights(splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, 
     return Triples(ids, mask_ids.ravel()[pixels[ids]], weights[order])
 
 
-def centre_pixels(splats: SplatArrays, view: View) -> Int64[np.ndarray, " n"]:
+def centre_pixels(splats: SplatArrays, view: View) -> Indices:
     """Per Gaussian the pixel (row by row) that its centre projects into; -1 outside or behind."""
     pose, K = view.relative_to(splats.origin).cam_from_world, view.K
     x, y, z = (pose[row, :3] @ splats.means.astype(np.float64) + pose[row, 3] for row in range(3))
@@ -67,7 +68,7 @@ def centre_pixels(splats: SplatArrays, view: View) -> Int64[np.ndarray, " n"]:
 
 
 def _weights_at(
-    splats: SplatArrays, view: View, pixels: Int64[np.ndarray, " n"], chosen: Int64[np.ndarray, " p"], threads: int
+    splats: SplatArrays, view: View, pixels: Indices, chosen: Int64[np.ndarray, " p"], threads: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gaussians whose centre is in one of the chosen pixels, and their weights there."""
     # Every pixel is a mask of its own, so that W has its contributors one by one.

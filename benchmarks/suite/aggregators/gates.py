@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool
 
+from drsplat.base.arrays import Doubles, Flags
 from drsplat.field.evidence.aggregation.entries import with_weights
 from drsplat.field.evidence.aggregation.voting import ViewSums, view_sums
 from drsplat.field.evidence.evidence import Evidence
@@ -18,7 +19,7 @@ from drsplat.field.evidence.evidence import Evidence
 class Gate(Protocol):
     """Which Gaussians of one view pass, by their weights in it."""
 
-    def passes(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]: ...
+    def passes(self, weights: Doubles) -> Flags: ...
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class MassGate:
     share: float = 0.75
     floor: float = 0.13  # of one pixel
 
-    def passes(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    def passes(self, weights: Doubles) -> Flags:
         order = np.argsort(-weights, kind="stable")
         held = np.cumsum(weights[order])
         enough = int(np.searchsorted(held, self.share * held[-1])) + 1
@@ -47,7 +48,7 @@ class QuantileGate:
     quantile: float = 0.85
     floor: float = 0.15  # of one pixel
 
-    def passes(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    def passes(self, weights: Doubles) -> Flags:
         return np.asarray(weights > max(self.floor, float(np.quantile(weights, self.quantile))))
 
 

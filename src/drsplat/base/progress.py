@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from types import TracebackType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from .system import peak_memory_bytes
 from .terminal import plain
 
 if TYPE_CHECKING:
@@ -152,3 +153,11 @@ class Stopwatch:
     def lap(self, stage: str) -> None:
         now = time.perf_counter()
         self.seconds[stage], self._last = now - self._last, now
+
+    def measures(self) -> dict[str, Any]:
+        """Return the time of all stages, of each, and the peak of the memory, as the answers of verbs have them."""
+        return {
+            "seconds": sum(self.seconds.values()),
+            "stage_seconds": self.seconds,
+            "peak_memory_bytes": peak_memory_bytes(),
+        }

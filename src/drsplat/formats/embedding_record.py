@@ -92,16 +92,16 @@ class Finished:
 
 
 class EmbeddingRecord:
-    """Record of one folder, from `open_record`. Every change is on disk when a method returns.
+    """Record of one folder, of `open_record`, or `read_record` to be read. A change is on disk when a method returns.
 
-    changes: the settings that differ from the folder's former ones. finished: entries by stem of the files.
+    settings: what `embed` used last here. changes: those that differ from the folder's former ones. finished: entries
+    by stem of the files.
     """
 
     def __init__(
         self, folder: Path, settings: Mapping[str, object], finished: dict[str, Finished], changes: tuple[str, ...] = ()
     ) -> None:
-        self.folder, self.finished, self.changes = folder, finished, changes
-        self._settings = settings
+        self.folder, self.settings, self.finished, self.changes = folder, settings, finished, changes
         self._journal: Journal | None = None
 
     def is_finished(self, stem: str, photo: str) -> bool:
@@ -115,6 +115,28 @@ class EmbeddingRecord:
     def unfinished(self) -> list[str]:
         """Return the stems that have files but no entry."""
         return [stem for stem in _listed_stems(self.folder) if stem not in self.finished]
+
+    def whole(self) -> "EmbeddingRecord":
+        """Return the record of features that are all of its settings.
+
+        Raises: MismatchError: some have no entry, for example after `embed` was stopped when a setting had changed.
+        """
+        if others := self.unfinished():
+            raise MismatchError(
+                f"{self.folder}: {len(others)} photos have features that are not of the settings in "
+                f"{FILE_NAME}: let drsplat embed finish, or remove them: {listed(others)}"
+            )
+        return self
+
+    def embedded_by(self, named: EncoderIdentity | None) -> EncoderIdentity:
+        """Return the recorded encoder. Raises: MismatchError: another is named. FormatError: a damaged record."""
+        recorded = encoder_from_json(self.settings.get("encoder"), str(self.folder / FILE_NAME))
+        if named is None or recorded.matches(named):
+            return recorded
+        raise MismatchError(
+            f"{self.folder} was embedded by '{identity_text(recorded)}', as drsplat embed noted in {FILE_NAME}; named "
+            f"was '{identity_text(named)}': name no encoder, or if other embeddings were put there, remove {FILE_NAME}"
+        )
 
     def make_room(self, stem: str) -> None:
         """Forget a photo's files before they are replaced.
@@ -137,7 +159,7 @@ class EmbeddingRecord:
     def write(self) -> str:
         """Write the document with all entries, and return its checksum."""
         photos = {stem: asdict(entry) for stem, entry in sorted(self.finished.items())}
-        document = sealed({"format": FORMAT, "settings": self._settings, "photos": photos})
+        document = sealed({"format": FORMAT, "settings": self.settings, "photos": photos})
         write_json(self.folder / FILE_NAME, document, overwrite=True, end="")
         return str(document[DOCUMENT])
 
@@ -192,58 +214,10 @@ def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = 
     return record
 
 
-def read_settings(folder: Path) -> dict[str, object] | None:
-    """Return the settings that a folder's features were made with, or None without a record.
-
-    Raises: FormatError: a damaged record. MismatchError: some of its features have no entry,
-    for example after `embed` was stopped when a setting had changed.
-    """
+def read_record(folder: Path) -> EmbeddingRecord | None:
+    """Read the record of a folder's features; None without one. Raises: FormatError: damaged."""
     path = folder / FILE_NAME
-    if not path.is_file():
-        return None
-    settings, finished = _read(path)
-    others = [stem for stem in _listed_stems(folder) if stem not in finished]
-    if others:
-        raise MismatchError(
-            f"{folder}: {len(others)} photos have features that are not of the settings in "
-            f"{FILE_NAME}: let drsplat embed finish, or remove them: {listed(others)}"
-        )
-    return settings
-
-
-def last_settings(folder: Path) -> dict[str, object] | None:
-    """Return the settings that `embed` used last in a folder, finished or not; None where it has no record.
-
-    Raises: FormatError: a damaged record.
-    """
-    path = folder / FILE_NAME
-    return _read(path)[0] if path.is_file() else None
-
-
-def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity | None:
-    """Return the encoder of a folder's embeddings: the recorded one, or `named` without a record.
-
-    Raises: MismatchError: the two contradict each other. FormatError: a damaged record.
-    """
-    path = folder / FILE_NAME
-    if not path.is_file():
-        return named
-    recorded = encoder_from_json(_read(path)[0].get("encoder"), str(path))
-    if named is None or recorded.matches(named):
-        return recorded
-    raise MismatchError(
-        f"{folder} was embedded by '{identity_text(recorded)}', as drsplat embed noted in {FILE_NAME}; named was "
-        f"'{identity_text(named)}': name no encoder, or if other embeddings were put there, remove {FILE_NAME}"
-    )
-
-
-def finished_photos(folder: Path) -> Mapping[str, Finished]:
-    """Return the entries of a folder's finished photos, by stem; {} without a record.
-
-    Raises: FormatError: a damaged record.
-    """
-    path = folder / FILE_NAME
-    return _read(path)[1] if path.is_file() else {}
+    return EmbeddingRecord(folder, *_read(path)) if path.is_file() else None
 
 
 def check_finished(entry: Finished, folder: Path, stem: str) -> None:

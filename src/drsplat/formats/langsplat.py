@@ -19,7 +19,7 @@ from ..scene.encoders import EncoderIdentity
 from ..scene.masks.features import ViewFeatures
 from ..scene.masks.masks import LEVELS
 from .compact_features import read_compact, write_compact
-from .embedding_record import COMPACT, EMBEDDINGS, MAPS, Form, check_finished, embedded_by, finished_photos, stems
+from .embedding_record import COMPACT, EMBEDDINGS, MAPS, Form, check_finished, read_record, stems
 from .npy import map_npy, write_npy
 from .photo_files import by_folded, folded, listed, safe_name
 from .scenes import Kind, mistaken
@@ -72,13 +72,18 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
     name in several folders cannot be told apart; `key` says what is found).
 
     level: index into LEVELS. encoder: who made the embeddings, where the folder or the caller knows. dim: their D.
+    record: what `embed` noted; None for files of other programs.
     """
 
-    def __init__(self, directory: Path, level: int, encoder: EncoderIdentity | None = None) -> None:
-        self.directory, self.level = directory, level
-        self.encoder = encoder = embedded_by(directory, encoder)
-        self._keys, self._finished = _listed_keys(directory), finished_photos(directory)
+    def __init__(
+        self, directory: Path, level: int, encoder: EncoderIdentity | str | None = None,
+        fallback: EncoderIdentity | None = None,
+    ) -> None:  # fmt: skip
+        self.directory, self.level, self.record = directory, level, read_record(directory)
+        self._keys, self._finished = _listed_keys(directory), {} if self.record is None else self.record.finished
         self.dim = int(self._files(next(iter(self._keys))).embeddings.shape[1])
+        named = EncoderIdentity(encoder, self.dim) if isinstance(encoder, str) else encoder
+        self.encoder = encoder = named or fallback if self.record is None else self.record.embedded_by(named)
         if encoder is not None and encoder.dim != self.dim:
             raise MismatchError(
                 f"{directory}: its embeddings have {self.dim} dimensions, those of {encoder.name} have {encoder.dim}: "
@@ -165,7 +170,10 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
 
 
 def read_features(
-    directory: str | Path, level: str | int = "large", encoder: EncoderIdentity | None = None
+    directory: str | Path,
+    level: str | int = "large",
+    encoder: EncoderIdentity | str | None = None,
+    fallback: EncoderIdentity | None = None,
 ) -> FeatureFolder:
     """Open one level of a folder of features, in LangSplat's form or the compact one; photos are read on demand.
 
@@ -174,7 +182,8 @@ def read_features(
     `--feature_level 1`; in features that LangSplat made, level 1 is *small*, and the same command
     gives a much worse field. Naming "large" is right for both. A map without levels, (H, W), serves
     any.
-    encoder: who made the embeddings, where the folder has no note of it, as `drsplat embed` leaves.
+    encoder: who made the embeddings, or its name, where the folder has no note of it, as `drsplat embed` leaves.
+    fallback: who made them where nothing else says.
 
     `_s.npy` is (4, H, W), integers or whole floats, -1 for no mask; ids are rows of `_f.npy`,
     which is (N, D) in half or single precision. Rows are brought to unit length on reading.
@@ -186,10 +195,8 @@ def read_features(
     >>> len(ds.read_features("capture/language_features"))
     4
     """
-    directory = Path(directory)
-    if not directory.is_dir():
-        raise mistaken(directory, Kind.FEATURES)
-    return FeatureFolder(directory, level_index(level), encoder)
+    number = level_index(level)
+    return FeatureFolder(Path(directory), number, encoder, fallback)
 
 
 def level_index(level: str | int) -> int:

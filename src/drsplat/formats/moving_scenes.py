@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -147,17 +148,10 @@ NUMBERED = re.compile(r"(.*?)(\d{1,12})\.ply", re.IGNORECASE)
 MAX_FRAME_HEADER_BYTES = 1 << 16
 MAX_FRAMES = 100_000
 SUFFIX = ".motion"
-ROWS = (
-    "| moving: numbered PLY files in a folder (`time_00000.ply` of 4DGaussians, `frame0001.ply` of SuperSplat) | "
-    "yes | yes | the same rows in each; a frame's time is its number, or evenly between two given times "
-    "([motion](#motion)) | frames of different counts, two sequences in a folder |",
-    "| moving: ours, a folder NAME.motion | 1 | yes | [layout](#motion) | motion of other Gaussians, times that "
-    "do not increase, frames that are no Gaussians |",
-)  # fmt: skip
-"""Rows of moving scenes in the table of docs/formats.md, as `known.SceneFormat.row`."""
+Times = tuple[float, float] | None
 
 
-def read_scene(path: str | Path, times: tuple[float, float] | None = None) -> Gaussians | Moving:
+def read_scene(path: str | Path, times: Times = None) -> Gaussians | Moving:
     """Read a scene: a moving one as `Moving`, a still one as `read_gaussians` does.
 
     These move: a folder with motion.safetensors, or that file; a folder of two or more numbered PLY files.
@@ -169,16 +163,13 @@ def read_scene(path: str | Path, times: tuple[float, float] | None = None) -> Ga
     Raises: as `read_gaussians` and the readers of moving scenes. InputError: times for a scene that has its own.
     """
     path = Path(path)
-    if is_sequence(path):
-        return read_ply_sequence(path, times)
-    if times is not None:
+    known = next((one for one in MOVING if one.tells(path)), None)
+    if times is not None and (known is None or not known.takes_times):
         raise InputError(f"{path}: times are given to numbered PLY files only, this scene has its own or stands still")
-    if path.name == MOTION or (path / MOTION).is_file():
-        return read_motion(path.parent if path.name == MOTION else path)
-    return read_gaussians(path)
+    return read_gaussians(path) if known is None else known.read(path, times)
 
 
-def read_moving(path: str | Path, times: tuple[float, float] | None = None) -> Moving:
+def read_moving(path: str | Path, times: Times = None) -> Moving:
     """Read a moving scene, see `read_scene`. Raises: InputError: a scene that stands still."""
     scene = read_scene(path, times)
     if not isinstance(scene, Moving):
@@ -190,8 +181,11 @@ def read_moving(path: str | Path, times: tuple[float, float] | None = None) -> M
 
 def is_moving(path: str | Path) -> bool:
     """Return whether `read_scene` would return a moving scene, judging by file names."""
-    path = Path(path)
-    return path.name == MOTION or (path / MOTION).is_file() or is_sequence(path)
+    return any(one.tells(Path(path)) for one in MOVING)
+
+
+def _is_ours(path: Path) -> bool:
+    return path.name == MOTION or (path / MOTION).is_file()
 
 
 def is_sequence(path: Path) -> bool:
@@ -233,7 +227,7 @@ def frames_of(folder: Path) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def read_ply_sequence(folder: Path, times: tuple[float, float] | None = None) -> Moving:
+def read_ply_sequence(folder: Path, times: Times = None) -> Moving:
     """Read frames when they are needed, and hold two.
 
     times: of the first and the last frame, and the others evenly between them; None: the frames' numbers.
@@ -295,3 +289,31 @@ def _count(path: Path) -> int:
     if "vertex" not in header.elements:
         raise FormatError(f"{path}: PLY has no element 'vertex'")
     return header.elements["vertex"].count
+
+
+class MovingFormat(NamedTuple):
+    """A format of moving scenes.
+
+    tells: whether a file or folder is one, by its names. read: `takes_times` of the first and the last frame, or
+    has its own. row: in the table of docs/formats.md, as `known.SceneFormat.row`.
+    """
+
+    tells: Callable[[Path], bool]
+    read: Callable[[Path, Times], Moving]
+    takes_times: bool
+    row: str
+
+
+MOVING = (
+    MovingFormat(
+        is_sequence, read_ply_sequence, True,
+        "| moving: numbered PLY files in a folder (`time_00000.ply` of 4DGaussians, `frame0001.ply` of SuperSplat) | "
+        "yes | yes | the same rows in each; a frame's time is its number, or evenly between two given times "
+        "([motion](#motion)) | frames of different counts, two sequences in a folder |",
+    ),
+    MovingFormat(
+        _is_ours, lambda path, _: read_motion(path.parent if path.name == MOTION else path), False,
+        "| moving: ours, a folder NAME.motion | 1 | yes | [layout](#motion) | motion of other Gaussians, times that "
+        "do not increase, frames that are no Gaussians |",
+    ),
+)  # fmt: skip

@@ -143,10 +143,11 @@ class Contrast:
     def rival(self, query: Embedding, values: Float32[Array, " r"], same: Flags | None = None) -> int | None:
         """Return the number of the word that fits best where the query fits best; None: none that means another thing.
 
-        values: relevancies of the query, one per row here. same: as of `relevancy`.
+        values: relevancies of the query, one per row of the field. same: as of `relevancy`.
         """
         near = self._not_competing(query / np.linalg.norm(query), same)
-        best = self.words[np.argsort(-values, kind="stable")[: self.peak]]
+        words = self.words if self.counts is None else np.repeat(self.words, self.counts, axis=0)
+        best = words[np.argsort(-values, kind="stable")[: self.peak]]
         others = ~near[best]
         first = best[np.arange(len(best)), others.argmax(1)][others.any(1)]
         return int(np.bincount(first).argmax()) if len(first) else None

@@ -235,28 +235,25 @@ def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up, inside: 
         inside: whether its middle is in the box of the support, seen from above. Then it also rests on what goes on
             right below its middle, as a book does that leans in a shelf.
     """
-    own = solid(gaussians, thing)
-    heights, others = _centers(gaussians, own) @ up, solid(gaussians, np.setdiff1d(support, thing))
+    own, others = solid(gaussians, thing), solid(gaussians, np.setdiff1d(support, thing))
+    here, there = (_centers(gaussians, ids) for ids in (own, others))
+    heights = here @ up
     low, high = np.quantile(heights, (0.02, 0.98))
-    ankle = low + max(FOOT_SHARE * (high - low), min(_spacing(_centers(gaussians, own)), (high - low) / 2))
-    foot, rest = own[heights <= ankle], own[heights > ankle]
-    touching, touched = contacts(gaussians, own, foot, others)
-    if (
-        len(touching) < max(MIN_TOUCHING_SHARE * len(foot), 1)
-        or np.quantile(_centers(gaussians, others) @ up, 0.02) > ankle
-    ):
+    ankle = low + max(FOOT_SHARE * (high - low), min(_spacing(here), (high - low) / 2))
+    foot = heights <= ankle
+    touching, touched = contacts(gaussians, own, own[foot], others)
+    if len(touching) < max(MIN_TOUCHING_SHARE * foot.sum(), 1) or np.quantile(there @ up, 0.02) > ankle:
         return False
     places = _centers(gaussians, touched)
-    over = is_over(_centers(gaussians, own), _centers(gaussians, others), up)
-    if not over or heights.mean() <= (places @ up).mean():
+    if not is_over(here, there, up) or heights.mean() <= (places @ up).mean():
         return False
     if inside:
-        below = _in_column(_centers(gaussians, own), _centers(gaussians, others), up)
+        below = _in_column(here, there, up)
         if ((below <= ankle) & (below >= low - DEEPEST_SHARE * (high - low))).sum() >= MIN_BELOW:
             return True
-    gap = widest_gap(places, _centers(gaussians, foot).mean(0), up)
+    gap = widest_gap(places, here[foot].mean(0), up)
     if MAX_ENCLOSED_GAP_RADIANS < gap <= MAX_ONE_SIDED_GAP_RADIANS:
-        beside = contacts(gaussians, own, rest, others)[1]
+        beside = contacts(gaussians, own, own[~foot], others)[1]
         return not len(beside) or bool((_centers(gaussians, beside) @ up).mean() <= ankle)
     return gap <= MAX_ENCLOSED_GAP_RADIANS
 
@@ -268,10 +265,14 @@ def contacts(gaussians: AnyGaussians, thing: Ids, part: Ids, others: Ids) -> tup
     them, and the mean of the typical spacings of the thing and of the others there. Of each, the eight nearest others
     are looked at. Things of so few Gaussians that they have no spacing touch nothing.
     """
-    others = _near(gaussians, part, others)
+    here, there = (_centers(gaussians, ids) for ids in (part, others))
+    if len(part):  # what is farther away than half of the part's diagonal is not looked at
+        low, high = here.min(0), here.max(0)
+        margin = float(np.linalg.norm(high - low)) / 2
+        near = ((there >= low - margin) & (there <= high + margin)).all(1)
+        others, there = others[near], there[near]
     if min(len(others), len(thing)) <= SPACING_NEIGHBOUR or not len(part):
         return part[:0], others[:0]
-    here, there = (_centers(gaussians, ids) for ids in (part, others))
     spacing = (_spacing(_centers(gaussians, thing)) + _spacing(there)) / 2
     distances, nearest = cKDTree(there).query(here, np.arange(1, min(NUM_NEIGHBOURS, len(others)) + 1))
     first, second = np.repeat(part, nearest.shape[1]), others[nearest.ravel()]
@@ -280,16 +281,6 @@ def contacts(gaussians: AnyGaussians, thing: Ids, part: Ids, others: Ids) -> tup
     deviations = _deviations(gaussians, first, along) + _deviations(gaussians, second, along)
     touch = distances.ravel() <= TOUCHING_DEVIATIONS * deviations + spacing
     return np.unique(first[touch]), np.unique(second[touch])
-
-
-def _near(gaussians: AnyGaussians, part: Ids, others: Ids) -> Ids:
-    """Return the others in the box of a part of a thing, widened by half of its diagonal."""
-    here, there = (_centers(gaussians, ids) for ids in (part, others))
-    if not len(here):
-        return others[:0]
-    low, high = here.min(0), here.max(0)
-    margin = float(np.linalg.norm(high - low)) / 2
-    return others[((there >= low - margin) & (there <= high + margin)).all(1)]
 
 
 def widest_gap(places: Points, middle: Up, up: Up) -> float:

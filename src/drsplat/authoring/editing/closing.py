@@ -30,14 +30,14 @@ def closing(draft: Draft, ids: RowIds) -> FillRecord:
     Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that could be
     closed in part only.
     """
-    seen = ids[draft.opacities[ids] >= HAZE_OPACITY]
+    seen = ids[draft.rows.opacities[ids] >= HAZE_OPACITY]
     if len(seen) < MIN_VISIBLE_GAUSSIANS:
         raise InputError(
             f"fill: {len(seen)} Gaussians that can be seen leave no hole: {MIN_VISIBLE_GAUSSIANS} are the fewest"
         )
     thing = draft.homes[seen].astype(np.float64)
     near = _near(draft, ids, thing)
-    scene = draft.part(near)
+    scene = draft.rows.subset(near)
     around = scene.means[scene.opacities >= HAZE_OPACITY].astype(np.float64)
     planes = surfaces_around(thing, around)
     if not planes:
@@ -49,7 +49,8 @@ def closing(draft: Draft, ids: RowIds) -> FillRecord:
     for plane in planes:
         behind = [other for other in planes if other is not plane]
         goes, more, open_share = _closed(near, Ground(scene, plane, behind, thing))
-        _warn_if_open(open_share)
+        if open_share > 1 - WARNED_CLOSED_SHARE:
+            warn(f"fill: of one plane {1 - open_share:.0%} of the hole could be closed", 4)
         removed[goes] = True
         clones += more
     return FillRecord(spans_of(near[removed]), tuple(clones))
@@ -59,7 +60,8 @@ def _near(draft: Draft, ids: RowIds, thing: Points) -> Int64[np.ndarray, " k"]:
     """Return the rows that are there around what stood there, without itself."""
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     reach = SEARCH_MARGIN_SHARE * float(np.linalg.norm(high - low))
-    near = ((draft.means >= low - reach) & (draft.means <= high + reach)).all(1) & draft.present
+    means = draft.rows.means
+    near = ((means >= low - reach) & (means <= high + reach)).all(1) & draft.present
     near[ids] = False
     return np.flatnonzero(near)
 
@@ -100,10 +102,3 @@ def _clones(near: Indices, ground: Ground) -> tuple[list[Clones], Cells]:
         missing = hole & (seen_through > 1 - CLOSED_OPACITY)
         surface = surface.closed(closed, shift)
     return clones, missing
-
-
-def _warn_if_open(open_share: float) -> None:
-    """Warn where much of a hole stays open."""
-    if open_share > 1 - WARNED_CLOSED_SHARE:
-        message = f"fill: of one plane {1 - open_share:.0%} of the hole could be closed"
-        warn(message, 5)

@@ -6,31 +6,21 @@ direction; A c + b has A of all harmonics, and b in the constant one.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...base.arrays import (
-    Arrays,
-    Doubles,
-    Flags,
-    Float64,
-    Harmonics,
-    Matrix3,
-    Numbers,
-    Quats,
-    RowIds,
-    Vector3,
-    Vectors,
-    WholeNumbers,
-)
+from ...base.arrays import Doubles, Flags, Float64, Harmonics, Matrix3, RowIds, Vector3, Vectors, WholeNumbers
 from ...drawing.heat import LUMA
 from ...errors import InputError
 from ...formats.scenes import read_gaussians
 from ...scene.boxes import solid
 from ...scene.gaussians import SH_C0, Gaussians, filled
+from ...scene.moving import counted_from
 from ...scene.similarity import Similarity
 
+ARRAYS = ("means", "quats", "scales", "opacities", "sh")
+ByRow = Sequence[int | float] | Float64[np.ndarray, "*rows 3"]
 OBJECT_ID = "object_id"  # the column that says whose a row is, -1 for none
 MAX_COORDINATE = 1e30  # of positions and sizes: their differences still fit float32
 MIN_ROW_LIMIT = 1_000_000  # rows that edits of any scene may make
@@ -39,95 +29,76 @@ MAX_ROW_GROWTH = 4  # times a larger scene's rows, likewise
 
 @dataclass(eq=False)
 class Draft:
-    """The arrays of all rows, those of the scene first. Its own: changes write into them.
+    """All rows of a scene while it is edited, those of the scene first.
 
-    present: false where a row was removed. homes: means of rows as they came. added: the rows that each edit brought,
-    from the first to before the last, (0, 0) for none; of the edits so far. read: gives other scenes. most: rows that
-    there may be, removed ones included. antialiased: as of `Gaussians`.
+    rows: in arrays of the draft's own, which changes write into. present: false where a row was removed. homes: means
+    of rows as they came. most: rows that there may be, removed ones included. read: gives other scenes. added: the rows
+    that each edit brought, from the first to before the last, (0, 0) for none; of the edits so far.
     """
 
-    means: Vectors
-    quats: Quats
-    scales: Vectors
-    opacities: Numbers
-    sh: Harmonics
-    extra: Arrays
-    origin: Vector3
+    rows: Gaussians
     present: Flags
     homes: Vectors
-    most: int = MIN_ROW_LIMIT
-    added: list[tuple[int, int]] = field(default_factory=list)
+    most: int
     read: Callable[[str], Gaussians] = read_gaussians
-    antialiased: bool = False
+    added: list[tuple[int, int]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, scene: Gaussians) -> "Draft":
-        extra = {name: column.copy() for name, column in scene.extra.items()}
-        present, homes = np.ones(len(scene), bool), scene.means.copy()
-        return cls(
-            scene.means.copy(), scene.quats.copy(), scene.scales.copy(), scene.opacities.copy(), scene.sh.copy(), extra,
-            scene.origin, present, homes, most_rows(len(scene)), antialiased=scene.antialiased,
-        )  # fmt: skip
+    def of(cls, scene: Gaussians, read: Callable[[str], Gaussians] = read_gaussians) -> "Draft":
+        present = np.ones(len(scene), bool)
+        return cls(scene.subset(present), present, scene.means.copy(), most_rows(len(scene)), read)
 
     def __len__(self) -> int:
-        return len(self.means)
+        return len(self.rows)
+
+    @property
+    def owners(self) -> WholeNumbers | None:
+        """The object of each row, -1 for none; None where objects are not known."""
+        return self.rows.extra.get(OBJECT_ID)
 
     @property
     def is_sound(self) -> bool:
         """Return whether all rows are still Gaussians, with numbers that can be computed with."""
-        finite = all(np.isfinite(column).all() for column in (self.quats, self.sh))
-        near = all(
-            (np.abs(column) <= MAX_COORDINATE).all() for column in (self.means, self.scales)
-        )  # NaN is not either
-        return finite and near and bool((self.scales > 0).all())
-
-    def gaussians(self) -> Gaussians:
-        """Return the scene as it is now, without removed rows."""
-        return self.part(np.flatnonzero(self.present))
+        rows = self.rows
+        finite = np.isfinite(rows.quats).all() and np.isfinite(rows.sh).all()
+        near = all((np.abs(column) <= MAX_COORDINATE).all() for column in (rows.means, rows.scales))  # NaN is not
+        return bool(finite and near and (rows.scales > 0).all())
 
     def everything(self) -> Gaussians:
         """Return all rows under their numbers, removed ones with opacity 0."""
-        opacities = np.where(self.present, self.opacities, np.float32(0))
-        columns = (self.means, self.quats, self.scales, opacities, self.sh, self.extra, self.origin)
-        return Gaussians(*columns, self.antialiased)
-
-    def part(self, ids: RowIds) -> Gaussians:
-        """Return some rows, removed ones as well."""
-        extra = {name: column[ids] for name, column in self.extra.items()}
-        columns = (self.means[ids], self.quats[ids], self.scales[ids], self.opacities[ids], self.sh[ids])
-        return Gaussians(*columns, extra, self.origin, self.antialiased)
+        return replace(self.rows, opacities=np.where(self.present, self.rows.opacities, np.float32(0)))
 
     def put(self, ids: RowIds, part: Gaussians) -> None:
         """Put rows where and as `part` has them."""
-        self.means[ids] = self._means(part)
-        self.quats[ids], self.scales[ids], self.sh[ids] = part.quats, part.scales, part.sh
+        rows = self.rows
+        rows.means[ids] = counted_from(part, rows.origin).means
+        rows.quats[ids], rows.scales[ids], rows.sh[ids] = part.quats, part.scales, part.sh
 
-    def shift(self, ids: WholeNumbers, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
+    def shift(self, ids: WholeNumbers, by: ByRow) -> None:
         """Move rows by the same vector, or each by its own."""
-        self.means[ids] = (self.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
+        self.rows.means[ids] = (self.rows.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
 
-    def add(self, part: Gaussians, object_id: int | None = None) -> RowIds:
-        """Append rows behind the last, and return their numbers.
+    def add(self, part: Gaussians, object_id: int | None = None, by: ByRow = (0.0, 0.0, 0.0)) -> None:
+        """Append rows behind the last.
 
-        object_id: whose they are, None for the column of `part`. What else only one of the two knows is 0.
+        object_id: whose they are, None for the column of `part`. by: how far they are moved from where `part` has them,
+        all or each. What else only one of the two knows is 0.
 
         Raises: InputError: more rows than there may be.
         """
-        first, count = len(self), len(part)
-        self.check_room(count)
-        most = max(self.sh.shape[1], part.sh.shape[1])
-        self.sh = np.concatenate([filled(self.sh, most), filled(part.sh, most)])
-        self.means = np.concatenate([self.means, self._means(part)])
-        self.homes = np.concatenate([self.homes, self.means[first:]])
-        self.quats = np.concatenate([self.quats, part.quats])
-        self.scales = np.concatenate([self.scales, part.scales])
-        self.opacities = np.concatenate([self.opacities, part.opacities])
-        self.present = np.concatenate([self.present, np.ones(count, bool)])
-        for name, column in self.extra.items():
-            own = part.extra.get(name, np.zeros(count, column.dtype)).astype(column.dtype)
-            own = np.full(count, object_id, column.dtype) if name == OBJECT_ID and object_id is not None else own
-            self.extra[name] = np.concatenate([column, own])
-        return np.arange(first, first + count, dtype=np.int64)
+        self.check_room(len(part))
+        own, most, extra = self.rows, max(self.rows.sh.shape[1], part.sh.shape[1]), {}
+        means = (counted_from(part, own.origin).means + np.asarray(by, np.float64)).astype(np.float32)
+        for name, column in own.extra.items():
+            more = part.extra.get(name, np.zeros(len(part), column.dtype))
+            if name == OBJECT_ID and object_id is not None:
+                more = np.full(len(part), object_id)
+            extra[name] = np.concatenate([column, more.astype(column.dtype)])
+        both = [replace(own, sh=filled(own.sh, most)), replace(part, means=means, sh=filled(part.sh, most))]
+        arrays = {name: np.concatenate([getattr(one, name) for one in both]) for name in ARRAYS}
+        self.rows = replace(own, **arrays, extra=extra)
+        self.homes = np.concatenate([self.homes, means])
+        self.present = np.concatenate([self.present, np.ones(len(part), bool)])
 
     def check_room(self, count: int) -> None:
         """Check that so many rows may be added. Raises: InputError: more than there may be."""
@@ -139,14 +110,7 @@ class Draft:
 
     def next_object(self) -> int:
         """Return a number that no object has."""
-        ids = self.extra.get(OBJECT_ID)
-        return 0 if ids is None else int(ids.max(initial=-1)) + 1
-
-    def _means(self, part: Gaussians) -> Vectors:
-        """Return the centres of a part, counted from this draft's origin."""
-        if (part.origin == self.origin).all():
-            return part.means
-        return (part.positions - self.origin).astype(np.float32)
+        return 0 if self.owners is None else int(self.owners.max(initial=-1)) + 1
 
 
 def most_rows(rows: int) -> int:
@@ -188,7 +152,8 @@ class Opacity:
             raise InputError(f"opacity: expected a factor of 0 or more, got {self.factor:g}")
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
-        draft.opacities[ids] = np.minimum(draft.opacities[ids] * np.float32(self.factor), np.float32(1))
+        opacities = draft.rows.opacities
+        opacities[ids] = np.minimum(opacities[ids] * np.float32(self.factor), np.float32(1))
 
 
 @dataclass(frozen=True)
@@ -226,8 +191,7 @@ class Turn:
         axis = np.array(self.axis) / max(map(abs, self.axis))  # so that no square overflows
         axis /= np.linalg.norm(axis)
         rotation = Rotation.from_rotvec(np.radians(self.degrees) * axis).as_matrix()
-        part = draft.part(ids)
-        draft.put(ids, around(part, 1.0, rotation, self.about).moved(part))
+        draft.put(ids, _around(draft.rows.subset(ids), 1.0, rotation, self.about))
 
 
 @dataclass(frozen=True)
@@ -242,8 +206,7 @@ class Scale:
             raise InputError(f"scale: expected a factor above 0, got {self.factor:g}")
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
-        part = draft.part(ids)
-        draft.put(ids, around(part, self.factor, np.eye(3), self.about).moved(part))
+        draft.put(ids, _around(draft.rows.subset(ids), self.factor, np.eye(3), self.about))
 
 
 @dataclass(frozen=True)
@@ -253,32 +216,23 @@ class Duplicate:
     by: Triple
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
-        present = ids[draft.present[ids]]
-        copies = draft.add(draft.part(present), draft.next_object())
-        draft.shift(copies, self.by)
-        draft.homes[copies] = draft.means[copies]
+        draft.add(draft.rows.subset(ids[draft.present[ids]]), draft.next_object(), self.by)
 
 
-def around(
-    part: Gaussians, scale: Number, rotation: Matrix3, about: Triple | None
-) -> Similarity:  # fmt: skip
-    """Return the similarity that turns and scales with one point staying where it is."""
-    fixed = middle_of(part) if about is None else np.array(about, np.float64)
-    return Similarity(float(scale), rotation, fixed - scale * rotation @ fixed)
+def _around(part: Gaussians, scale: Number, rotation: Matrix3, about: Triple | None) -> Gaussians:
+    """Turn and scale, with one point staying where it is.
 
-
-def middle_of(part: Gaussians) -> Vector3:
-    """Return the middle of the box, along the world's axes, of the centres of what can be seen."""
-    if not len(part):
-        return np.zeros(3)
-    positions = part.positions[solid(part, np.arange(len(part)))]
-    return (positions.min(0) + positions.max(0)) / 2
+    about: that point; None for the middle of the box, along the world's axes, of the centres of what can be seen.
+    """
+    fixed = np.zeros(3) if about is None else np.array(about, np.float64)
+    if about is None and len(part):
+        positions = part.positions[solid(part, np.arange(len(part)))]
+        fixed = (positions.min(0) + positions.max(0)) / 2
+    return Similarity(float(scale), rotation, fixed - scale * rotation @ fixed).moved(part)
 
 
 Colors = Float64[np.ndarray, "n 3"]
-REFERENCE_LIGHT_QUANTILE = (
-    0.9  # of an object's light: Gaussians at it get the colour itself, lighter ones a lighter one
-)
+REFERENCE_LIGHT_QUANTILE = 0.9  # of an object's light: Gaussians at it get the colour, lighter ones a lighter one
 MIN_CLUSTER_LIGHT = 0.05
 LUMA_WEIGHT = 0.3  # against chroma, when colours are clustered for a palette
 KMEANS_STEPS = 20
@@ -302,7 +256,7 @@ class Recolour:
             raise InputError(f"amount: expected a number from 0 to 1, got {self.amount:g}")
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
-        light = np.einsum("nc,c->n", _colors(draft.sh[ids]), LUMA)
+        light = np.einsum("nc,c->n", _colors(draft.rows.sh[ids]), LUMA)
         reference = max(float(np.quantile(light, REFERENCE_LIGHT_QUANTILE)) if len(light) else 1.0, MIN_CLUSTER_LIGHT)
         full = np.outer(self.color, LUMA) / reference
         _map(draft, ids, (1 - self.amount) * np.eye(3) + self.amount * full, np.zeros(3))
@@ -324,8 +278,8 @@ class Palette:
             check_color(color)
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
-        colors = _colors(draft.sh[ids])
-        groups = grouped(colors, draft.opacities[ids].astype(np.float64), len(self.colors))
+        colors = _colors(draft.rows.sh[ids])
+        groups = grouped(colors, draft.rows.opacities[ids].astype(np.float64), len(self.colors))
         light = np.einsum("nc,c->n", colors, LUMA)
         means = [float(light[groups == k].mean()) if (groups == k).any() else np.inf for k in range(len(self.colors))]
         wanted = sorted(self.colors, key=lambda color: float(np.dot(color, LUMA)))
@@ -363,8 +317,8 @@ class MatchPhoto:
     def apply(self, draft: Draft, ids: RowIds) -> None:
         if not len(ids):
             return
-        weights = draft.opacities[ids].astype(np.float64) + 1e-6
-        mean, covariance = _statistics(_colors(draft.sh[ids]), weights)
+        weights = draft.rows.opacities[ids].astype(np.float64) + 1e-6
+        mean, covariance = _statistics(_colors(draft.rows.sh[ids]), weights)
         root = _power(covariance + MIN_COLOR_SPREAD**2 * np.eye(3), 0.5)
         back = _power(covariance + MIN_COLOR_SPREAD**2 * np.eye(3), -0.5)
         matrix = back @ _power(root @ self.covariance @ root, 0.5) @ back
@@ -411,9 +365,9 @@ def _colors(sh: Harmonics) -> Colors:
 
 def _map(draft: Draft, ids: RowIds, matrix: Matrix3, offset: Vector3) -> None:
     """Apply c -> matrix c + offset, for the colour in every direction."""
-    sh = np.einsum("rc,nkc->nkr", matrix, draft.sh[ids].astype(np.float64))
+    sh = np.einsum("rc,nkc->nkr", matrix, draft.rows.sh[ids].astype(np.float64))
     sh[:, 0] += (matrix.sum(1) * 0.5 + offset - 0.5) / SH_C0
-    draft.sh[ids] = sh.astype(np.float32)
+    draft.rows.sh[ids] = sh.astype(np.float32)
 
 
 def _statistics(colors: Colors, weights: Doubles) -> tuple[Vector3, Matrix3]:

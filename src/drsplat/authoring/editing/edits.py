@@ -14,7 +14,20 @@ import numpy as np
 
 from ...base.contents import AnyPath
 from ...errors import DrSplatError, FormatError, InputError, MismatchError
-from ...formats.json_files import as_count, as_matrix, as_number, as_vector, excerpt, read_json, runs_of, spans_of_runs
+from ...formats.json_files import (
+    as_count,
+    as_document,
+    as_list,
+    as_matrix,
+    as_number,
+    as_object,
+    as_text,
+    as_vector,
+    excerpt,
+    read_json,
+    runs_of,
+    spans_of_runs,
+)
 from ...formats.replacing import claimed_output, replacing
 from ...formats.scenes import companion, read_gaussians
 from ...scene.gaussians import Gaussians
@@ -94,15 +107,15 @@ def edited(
     Raises: InputError: an edit that cannot be done; the message says which. MismatchError: another scene to replace
     from than was meant.
     """
-    return drafted(gaussians, edits, read).gaussians() if edits else gaussians
+    if not edits:
+        return gaussians
+    draft = drafted(gaussians, edits, read)
+    return draft.rows.subset(draft.present)
 
 
-def drafted(
-    gaussians: Gaussians, edits: Sequence[Edit], read: Callable[[str], Gaussians] = read_gaussians
-) -> Draft:  # fmt: skip
+def drafted(gaussians: Gaussians, edits: Sequence[Edit], read: Callable[[str], Gaussians] = read_gaussians) -> Draft:
     """Apply edits, and keep removed rows and the numbers of added ones; see `edited`. Raises: as `edited`."""
-    draft = Draft.of(gaussians)
-    draft.read = read
+    draft = Draft.of(gaussians, read)
     for number, edit in enumerate(edits, start=1):
         with _numbered(number):  # what becomes no number is refused below
             edit.apply(draft)
@@ -119,14 +132,15 @@ def recorded(
     Edits that were undone stay as they are. gaussians, read: as of `edited`, with the
     column `object_id` where objects are known.
 
-    Raises: as `edited`. Warns: as `Fill.recorded`.
+    Raises: as `edited`. Warns: as `Fill.computed`.
     """
     edits = list(listed.edits)
     for place, edit in enumerate(listed.active):
         if isinstance(edit.change, Fill) and edit.change.record is None:
             draft = drafted(gaussians, edits[:place], read)
             with _numbered(place + 1):
-                edits[place] = Edit(edit.target, edit.change.recorded(draft, edit.target.ids(draft)))
+                record = edit.change.computed(draft, edit.target.ids(draft))
+                edits[place] = Edit(edit.target, replace(edit.change, record=record))
     return listed if edits == list(listed.edits) else replace(listed, edits=tuple(edits))
 
 
@@ -226,10 +240,7 @@ def document_of(listed: EditList) -> dict[str, object]:
 
 def edits_of(document: object, where: str) -> EditList:
     """Return the edits in a stored document. Raises: FormatError: no such document, or an edit that there is not."""
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise FormatError(f"{where}: expected '{FORMAT}'")
-    if document.get("version") != VERSION:
-        raise FormatError(f"{where}: version {excerpt(document.get('version'))}; this drsplat reads {VERSION}")
+    document = as_document(document, where, FORMAT, VERSION)
     _only(document, ("format", "version", "scene", "done", "edits"), where)
     scene, edits = document.get("scene"), document.get("edits")
     if not isinstance(scene, str) or not isinstance(edits, list) or len(edits) > MAX_EDITS:
@@ -242,13 +253,11 @@ def edits_of(document: object, where: str) -> EditList:
 
 
 def _edit(entry: object, where: str) -> Edit:
-    if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object, got {excerpt(entry)}")
-    kind = entry.get("do")
+    values = dict(as_object(entry, where))
+    kind, target = values.pop("do", None), values.pop("of", None)
     if not isinstance(kind, str) or kind not in _CHANGES:
         raise FormatError(f"{where}: do: expected one of {', '.join(_CHANGES)}; got {excerpt(kind)}")
     made, readers = _CHANGES[kind]
-    values = {name: value for name, value in entry.items() if name not in ("of", "do")}
     _only(values, readers, where)
     missing = [one.name for one in fields(made) if one.default is MISSING and one.name not in values]
     if missing:
@@ -258,7 +267,7 @@ def _edit(entry: object, where: str) -> Edit:
         change = made(**read)
         if isinstance(change, Fill) and change.record is None:
             raise FormatError(f"{where}: record is missing: expected what this fill removes and clones")
-        return Edit(_target(entry.get("of"), where), change)
+        return Edit(_target(target, f"{where}: of"), change)
     except InputError as error:
         raise FormatError(f"{where}: {error}") from error
 
@@ -273,20 +282,16 @@ def _only(entry: Mapping[str, object], known: Mapping[str, object] | tuple[str, 
 
 
 def _target(entry: object, where: str) -> Target:
-    if not isinstance(entry, dict):
-        raise FormatError(f"{where}: of: expected an object, got {excerpt(entry)}")
-    kind = entry.get("kind")
+    kind = as_object(entry, where).get("kind")
     if not isinstance(kind, str) or kind not in _TARGETS:
-        raise FormatError(f"{where}: of: expected a kind, one of {', '.join(_TARGETS)}; got {excerpt(kind)}")
+        raise FormatError(f"{where}: expected a kind, one of {', '.join(_TARGETS)}; got {excerpt(kind)}")
     keys, made = _TARGETS[kind]
-    _only(entry, ("kind", *keys), f"{where}: of")
-    return made(entry, f"{where}: of")
+    _only(entry, ("kind", *keys), where)
+    return made(entry, where)
 
 
 def _rows(entry: dict[str, object], where: str) -> Rows:
-    name: Any = entry.get("name", "")
-    if not isinstance(name, str):
-        raise FormatError(f"{where}: name: expected a text, got {excerpt(name)}")
+    name = as_text(entry.get("name", ""), f"{where}: name")
     return Rows(entry["kind"], name, spans_of_runs(entry.get("runs"), f"{where}: runs"))  # type: ignore[arg-type]
 
 
@@ -332,15 +337,7 @@ def _square(side: int) -> Read:
 
 
 def _colors(value: object, where: str) -> tuple[tuple[float, ...], ...]:
-    if not isinstance(value, list):
-        raise FormatError(f"{where}: expected a list of colours, got {excerpt(value)}")
-    return tuple(_triple(color, where) for color in value)
-
-
-def _text(value: object, where: str) -> str:
-    if not isinstance(value, str):
-        raise FormatError(f"{where}: expected a text, got {excerpt(value)}")
-    return value
+    return tuple(_triple(color, where) for color in as_list(value, where))
 
 
 def _record(value: object, where: str) -> FillRecord:
@@ -369,7 +366,7 @@ _CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
     "recolour": (Recolour, {"color": _triple, "amount": as_number}),
     "palette": (Palette, {"colors": _colors}),
     "match photo": (MatchPhoto, {"mean": _point, "covariance": _square(3)}),
-    "replace": (Replace, {"scene": _text, "fingerprint": _text, "matrix": _square(4), "spans": spans_of_runs}),
+    "replace": (Replace, {"scene": as_text, "fingerprint": as_text, "matrix": _square(4), "spans": spans_of_runs}),
     "fill": (Fill, {"version": as_count, "record": _record}),
 }
 NAMES = {made: name for name, (made, _) in _CHANGES.items()}

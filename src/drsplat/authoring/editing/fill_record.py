@@ -54,7 +54,6 @@ class FillRecord:
         draft.check_room(sum(map(len, self.clones)))
         draft.present[ids_of(self.removed)] = False
         if self.clones:
-            added = draft.add(draft.part(np.concatenate([ids_of(one.spans) for one in self.clones])))
-            by = np.stack([one.by for one in self.clones])
-            draft.shift(added, np.repeat(by, [len(one) for one in self.clones], axis=0))
-            draft.homes[added] = draft.means[added]
+            rows = np.concatenate([ids_of(one.spans) for one in self.clones])
+            by = np.repeat([one.by for one in self.clones], [len(one) for one in self.clones], axis=0)
+            draft.add(draft.rows.subset(rows), by=by)

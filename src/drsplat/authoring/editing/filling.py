@@ -1,6 +1,6 @@
 """The hole that a removal leaves: ground and wall Gaussians cloned from beside it, along their plane."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ...base.arrays import RowIds
 from ...errors import InputError
@@ -31,18 +31,15 @@ class Fill:
             raise InputError(f"fill: expected version {VERSION}, got {self.version}: undo it, and fill anew")
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
-        """Close the hole that the target leaves. Raises: InputError: as `recorded`, or a record that does not fit."""
-        (self.record or self._computed(draft, ids)).apply(draft)
+        """Close the hole that the target leaves. Raises: InputError: as `computed`, or a record that does not fit."""
+        (self.record or self.computed(draft, ids)).apply(draft)
 
-    def recorded(self, draft: Draft, ids: RowIds) -> "Fill":
-        """Return this change with the record of what it does to a draft, which stays as it is.
+    def computed(self, draft: Draft, ids: RowIds) -> FillRecord:
+        """Return the record of what this change does to a draft, which stays as it is.
 
         Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that
         could be closed in part only.
         """
-        return replace(self, record=self._computed(draft, ids))
-
-    def _computed(self, draft: Draft, ids: RowIds) -> FillRecord:
         from .closing import closing  # with it comes much of SciPy, which a list of edits does without
 
         return closing(draft, ids)

@@ -18,7 +18,7 @@ from ...scene.boxes import Box, solid
 from ...scene.gaussians import Gaussians
 from ...scene.moving import still
 from ...scene.similarity import similarity_of
-from .draft import OBJECT_ID, Draft, Scale, most_rows
+from .draft import Draft, Scale, most_rows
 
 MIN_BOX_LENGTH = 1e-9  # of a box that something can be fitted to
 
@@ -47,7 +47,7 @@ class Replace:
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
         other = draft.read(self.scene)
-        if draft.antialiased != other.antialiased:
+        if draft.rows.antialiased != other.antialiased:
             kinds = ("antialiased (mip)", "not") if other.antialiased else ("not antialiased", "antialiased (mip)")
             warn(
                 f"replace: what comes was trained to be drawn {kinds[0]}, the scene {kinds[1]}: drawn as the scene is, "
@@ -57,12 +57,10 @@ class Replace:
         draft.most = max(draft.most, most_rows(len(other)))
         draft.present[ids] = False
         # the number of the object that most of some rows belong to, or a new number
-        of = draft.extra.get(OBJECT_ID)
-        known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
-        draft.add(
-            similarity_of(self.matrix).moved(self._part(other)),
-            (int(np.bincount(known).argmax()) if len(known) else draft.next_object()),
-        )
+        owners = np.empty(0, np.int64) if draft.owners is None else draft.owners[ids]
+        owners = owners[owners >= 0].astype(np.int64)
+        number = int(np.bincount(owners).argmax()) if len(owners) else draft.next_object()
+        draft.add(similarity_of(self.matrix).moved(self._part(other)), number)
 
     def _part(self, other: Gaussians) -> Gaussians:
         if other.fingerprint != self.fingerprint:

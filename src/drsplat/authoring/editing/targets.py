@@ -81,7 +81,7 @@ class Box:
         return "the box at " + " ".join(f"{x:.2f}" for x in self.center)
 
     def ids(self, draft: Draft) -> RowIds:
-        away = draft.means.astype(np.float64) + (draft.origin - self.center)
+        away = draft.rows.means.astype(np.float64) + (draft.rows.origin - self.center)
         inside = (np.abs(np.einsum("ni,ai->na", away, self.axes)) <= self.extent / 2).all(1)
         return np.flatnonzero(inside & draft.present)
 

@@ -215,7 +215,7 @@ def after_edits(gaussians: Gaussians, path: Path | None, listed: EditList) -> Af
         return After(gaussians, np.ones(len(gaussians), bool))
     draft = drafted(gaussians, listed.active, read_gaussians if path is None else EditFile.beside(path).other)
     # whose copy each object is that an edit added
-    owners, copies = draft.extra.get(OBJECT_ID), {}
+    owners, copies = draft.owners, {}
     for edit, (begin, end) in zip(listed.active, draft.added, strict=True):
         if owners is None or begin == end:
             continue
@@ -224,4 +224,4 @@ def after_edits(gaussians: Gaussians, path: Path | None, listed: EditList) -> Af
             own = owners[edit.target.ids(draft)]
             source = int(np.bincount(own[own >= 0], minlength=1).argmax()) if (own >= 0).any() else -1
         copies[int(owners[begin])] = source
-    return After(draft.part(np.arange(len(draft))), draft.present, copies)
+    return After(draft.rows, draft.present, copies)

@@ -4,7 +4,8 @@ On disk it is in our own form, or as nerfstudio's camera_path.json.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,9 +15,9 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from ...base.arrays import Array, Doubles, Matrix3, OtherDoubles, Points, Vector3
-from ...base.contents import AnyPath
+from ...base.contents import AnyPath, Document
 from ...errors import FormatError, InputError
-from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_json
+from ...formats.json_files import as_count, as_document, as_fields, as_vector, excerpt, read_json
 from ...formats.poses import MAX_COORDINATE, nearest_rotation
 from ...formats.replacing import replacing
 from ...scene.views import View
@@ -231,7 +232,6 @@ def _check_frames(count: int) -> None:
 
 KIND, VERSION = "drsplat-path", 1
 _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])
-Entry = Mapping[str, object]
 
 
 def read_path(path: AnyPath) -> CameraPath:
@@ -248,11 +248,19 @@ def read_path(path: AnyPath) -> CameraPath:
 
 def path_of(document: object, where: str) -> CameraPath:
     """Return the path of a JSON document, see `read_path`. where: names the document in errors."""
-    if isinstance(document, dict) and "camera_path" in document:
-        return _checked_path(where, lambda: _of_nerfstudio(document, where))
-    if isinstance(document, dict) and "key_frames" in document:
-        return _checked_path(where, lambda: _of_ours(document, where))
-    raise FormatError(f'{where}: expected a path: an object with "key_frames", or with nerfstudio\'s "camera_path"')
+    given = document if isinstance(document, dict) else {}
+    if not given.keys() & {"camera_path", "key_frames"}:
+        raise FormatError(f'{where}: expected a path: an object with "key_frames", or with nerfstudio\'s "camera_path"')
+    with _blamed(where):
+        path = (_of_nerfstudio if "camera_path" in given else _of_ours)(given, where)
+        for name, wished in (("seconds", path.seconds), ("fps", path.fps)):
+            if wished is not None and not wished > 0:
+                raise InputError(f"{name}: expected a number above 0, got {wished:g}")
+        if path.size is not None:
+            check_size(path.size)
+        if path.seconds is not None and path.fps is not None:
+            frame_count(path.seconds, path.fps)
+    return path
 
 
 def write_path(path: AnyPath, camera_path: CameraPath, overwrite: bool = False) -> None:
@@ -263,76 +271,56 @@ def write_path(path: AnyPath, camera_path: CameraPath, overwrite: bool = False) 
 
 def path_json(camera_path: CameraPath) -> str:
     """Return eye, target (a unit ahead) and up of each key frame, in the world; fov from top to bottom."""
-    wished = {"seconds": camera_path.seconds, "fps": camera_path.fps, "size": camera_path.size}
-    document = {
-        "format": KIND,
-        "version": VERSION,
-        "closed": camera_path.closed,
-        "even": camera_path.even,
-        **{name: value for name, value in wished.items() if value is not None},
-        "key_frames": [_key_json(key) for key in camera_path.keys],
-    }
+    names = ("closed", "even", "seconds", "fps", "size")
+    keys = [
+        {
+            "eye": key.eye.tolist(),
+            "target": (key.eye + key.rotation[2]).tolist(),
+            "up": (-key.rotation[1]).tolist(),
+            "fov_degrees": key.fov_degrees,
+            **_said(key, ("seconds",)),
+        }
+        for key in camera_path.keys
+    ]
+    document = {"format": KIND, "version": VERSION, **_said(camera_path, names), "key_frames": keys}
     return json.dumps(document, indent=1) + "\n"
 
 
-def _key_json(key: KeyFrame) -> dict[str, object]:
-    _, down, ahead = key.rotation
-    entry: dict[str, object] = {
-        "eye": key.eye.tolist(),
-        "target": (key.eye + ahead).tolist(),
-        "up": (-down).tolist(),
-        "fov_degrees": key.fov_degrees,
-    }
-    return entry if key.seconds is None else entry | {"seconds": key.seconds}
+def _said(whole: object, names: Sequence[str]) -> dict[str, object]:
+    return {name: value for name in names if (value := getattr(whole, name)) is not None}
 
 
-def _checked_path(where: str, read: Callable[[], CameraPath]) -> CameraPath:
-    """Read a path, and blame the file for values that no path can be made of."""
+@contextmanager
+def _blamed(where: str) -> Iterator[None]:
+    """Blame a part of the file for values that no path can be made of."""
     try:
-        found = read()
-        if found.size is not None:
-            check_size(found.size)
-        if found.seconds is not None and found.fps is not None:
-            frame_count(found.seconds, found.fps)
-    except FormatError:
-        raise
+        yield
     except InputError as error:
         raise FormatError(f"{where}: {error}") from error
-    return found
 
 
-def _of_ours(document: Entry, where: str) -> CameraPath:
-    if document.get("format") != KIND or document.get("version") != VERSION:
-        raise FormatError(
-            f'{where}: expected "format": "{KIND}" of version {VERSION}, got {excerpt(document.get("format"))} of '
-            f"{excerpt(document.get('version'))}"
-        )
+def _of_ours(document: Document, where: str) -> CameraPath:
+    as_document(document, where, KIND, VERSION)
+    wished = as_fields(document, where, closed=bool | None, even=bool | None, seconds=float | None, fps=float | None)
     keys = [_key(entry, f"{where}, key frame {i}") for i, entry in enumerate(_entries(document, "key_frames", where))]
+    closed, even, seconds, fps = wished.values()
     size = document.get("size")
-    return CameraPath(
-        keys, _flag(document, "closed", where), _flag(document, "even", where),
-        _positive(document, "seconds", where), _positive(document, "fps", where),
-        None if size is None else _size(as_vector(size, 2, f"{where}: size").tolist(), where),
-    )  # fmt: skip
+    size = None if size is None else _size(as_vector(size, 2, f"{where}: size").tolist(), where)
+    return CameraPath(keys, bool(closed), bool(even), seconds, fps, size)
 
 
 def _key(entry: object, where: str) -> KeyFrame:
-    if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object, got {excerpt(entry)}")
-    eye, target = (_place(entry.get(name), f"{where}: {name}") for name in ("eye", "target"))
-    up = _place(entry.get("up"), f"{where}: up")
-    fov = as_number(entry.get("fov_degrees", FOV_DEGREES), f"{where}: fov_degrees")
-    seconds = as_number(entry["seconds"], f"{where}: seconds") if "seconds" in entry else None
+    eye, target, up = as_fields(entry, where, eye=Vector3, target=Vector3, up=Vector3).values()
+    fov, seconds = as_fields(entry, where, fov_degrees=float | None, seconds=float | None).values()
+    _check_near(np.stack([eye, target, up]), where)
     if not np.linalg.norm(np.cross(target - eye, up)) > 0:
         raise FormatError(f"{where}: expected an up that is not along the line from eye to target, nor zero")
-    try:
+    with _blamed(where):
         view = looking_at(eye, target, up / np.linalg.norm(up), (2, 2), 90.0)
-        return KeyFrame(eye, view.cam_from_world[:3, :3], fov, seconds)
-    except InputError as error:
-        raise FormatError(f"{where}: {error}") from error
+        return KeyFrame(eye, view.cam_from_world[:3, :3], FOV_DEGREES if fov is None else fov, seconds)
 
 
-def _of_nerfstudio(document: Entry, where: str) -> CameraPath:
+def _of_nerfstudio(document: Document, where: str) -> CameraPath:
     lens = document.get("camera_type", "perspective")
     if lens != "perspective":
         raise FormatError(f"{where}: camera_type {excerpt(lens)} is not supported: expected 'perspective'")
@@ -340,59 +328,32 @@ def _of_nerfstudio(document: Entry, where: str) -> CameraPath:
     keys = [_nerfstudio_key(entry, f"{where}, camera {i}") for i, entry in enumerate(entries)]
     sides = [document.get(f"render_{side}") for side in ("width", "height")]
     size = None if sides == [None, None] else _size(sides, where)
-    fps = _positive(document, "fps", where)
-    seconds = _positive(document, "seconds", where)
+    seconds, fps = as_fields(document, where, seconds=float | None, fps=float | None).values()
     return CameraPath(keys * 2 if len(keys) == 1 else keys, False, True, seconds, fps, size)
 
 
 def _nerfstudio_key(entry: object, where: str) -> KeyFrame:
-    if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object, got {excerpt(entry)}")
-    numbers = as_vector(entry.get("camera_to_world"), 16, f"{where}: camera_to_world").reshape(4, 4)
+    camera, fov = as_fields(entry, where, camera_to_world=object, fov=float | None).values()
+    where = f"{where}: camera_to_world"
+    numbers = as_vector(camera, 16, where).reshape(4, 4)
     if np.abs(numbers[3] - (0, 0, 0, 1)).max() > 1e-6:
-        raise FormatError(
-            f"{where}: camera_to_world: expected the last four numbers 0 0 0 1, got {numbers[3].tolist()}"
-        )
-    rotation = nearest_rotation(numbers[:3, :3], f"{where}: camera_to_world") * _OPENCV_FROM_OPENGL
-    eye = _near(numbers[:3, 3], f"{where}: camera_to_world")
-    fov = as_number(entry.get("fov", FOV_DEGREES), f"{where}: fov")
-    try:
-        return KeyFrame(eye, np.ascontiguousarray(rotation.T), fov)
-    except InputError as error:
-        raise FormatError(f"{where}: {error}") from error
+        raise FormatError(f"{where}: expected the last four numbers 0 0 0 1, got {numbers[3].tolist()}")
+    rotation = nearest_rotation(numbers[:3, :3], where) * _OPENCV_FROM_OPENGL
+    _check_near(numbers[:3, 3], where)
+    with _blamed(where):
+        return KeyFrame(numbers[:3, 3], np.ascontiguousarray(rotation.T), FOV_DEGREES if fov is None else fov)
 
 
-def _entries(document: Entry, name: str, where: str) -> list[object]:
+def _entries(document: Document, name: str, where: str) -> list[object]:
     entries = document[name]
     if not isinstance(entries, list) or not 1 <= len(entries) <= MAX_KEYS:
         raise FormatError(f"{where}: expected a list of 1 to {MAX_KEYS:,} {name}, got {excerpt(entries)}")
     return entries
 
 
-def _place(value: object, where: str) -> Array:
-    return _near(as_vector(value, 3, where), where)
-
-
-def _near(place: Array, where: str) -> Array:
-    if not np.abs(place).max() <= MAX_COORDINATE:
+def _check_near(places: Array, where: str) -> None:
+    if not np.abs(places).max() <= MAX_COORDINATE:
         raise FormatError(f"{where}: beyond {MAX_COORDINATE:g}")
-    return place
-
-
-def _flag(document: Entry, name: str, where: str) -> bool:
-    value = document.get(name, False)
-    if not isinstance(value, bool):
-        raise FormatError(f"{where}: {name}: expected true or false, got {excerpt(value)}")
-    return value
-
-
-def _positive(document: Entry, name: str, where: str) -> float | None:
-    if document.get(name) is None:
-        return None
-    number = as_number(document[name], f"{where}: {name}")
-    if not number > 0:
-        raise FormatError(f"{where}: {name}: expected a number above 0, got {number:g}")
-    return number
 
 
 def _size(sides: Sequence[object], where: str) -> tuple[int, int]:

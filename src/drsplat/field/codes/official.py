@@ -1,40 +1,60 @@
 """Codebook and codes as the authors of Dr. Splat publish them."""
 
 import os
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from ...base.arrays import ByteRows, UnsignedIds
+from ...base.contents import AnyPath
 from ...errors import FormatError, InputError
-from ...formats.faiss_index import is_faiss, read_faiss_quantizer
+from ...formats.faiss_index import FaissQuantizer, is_faiss, read_faiss_quantizer
 from ...scene.encoders import EncoderIdentity
 from .codebook import Codebook, Codes, load_codebook
 
 
-def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) -> Codebook:
+def read_faiss_codebook(path: AnyPath, encoder: EncoderIdentity) -> Codebook:
     """Read a codebook from a FAISS index: IndexPQ, or the IndexIVFPQ that Dr. Splat's authors publish.
 
     Raises: FormatError: another kind of file, or damaged. MismatchError: another dimension than the encoder's.
     """
-    quantizer = read_faiss_quantizer(path)
+    return _codebook(path, read_faiss_quantizer(path), encoder)
+
+
+def _codebook(path: AnyPath, quantizer: FaissQuantizer, encoder: EncoderIdentity) -> Codebook:
     try:
         return Codebook(*quantizer, encoder)
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
 
 
-def read_codebook(path: str | os.PathLike[str], encoder_name: str | None = None) -> Codebook:
+class CodebookFormat(NamedTuple):
+    """A format of codebooks. tells: whether a file is one. read: it, given the name of the embeddings' encoder."""
+
+    tells: Callable[[AnyPath], bool]
+    read: Callable[[AnyPath, str | None], Codebook]
+
+
+def _read_nameless(path: AnyPath, encoder_name: str | None) -> Codebook:
+    quantizer = read_faiss_quantizer(path)
+    dim = quantizer.centroids.shape[0] * quantizer.centroids.shape[2]
+    return _codebook(path, quantizer, EncoderIdentity(encoder_name or "unknown", dim))
+
+
+FORMATS = (
+    CodebookFormat(lambda path: os.path.splitext(path)[1] == ".faiss" or is_faiss(path), _read_nameless),
+    CodebookFormat(lambda _: True, lambda path, _: load_codebook(path)),
+)
+
+
+def read_codebook(path: AnyPath, encoder_name: str | None = None) -> Codebook:
     """Read a codebook of ours or the authors' .faiss file.
 
     encoder_name: that of the embeddings, which a .faiss file does not name. Raises: as `load_codebook` and
     `read_faiss_codebook`.
     """
-    if os.path.splitext(path)[1] != ".faiss" and not is_faiss(path):
-        return load_codebook(path)
-    centroids = read_faiss_quantizer(path).centroids
-    dim = centroids.shape[0] * centroids.shape[2]
-    return read_faiss_codebook(path, EncoderIdentity(encoder_name or "unknown", dim))
+    return next(one for one in FORMATS if one.tells(path)).read(path, encoder_name)
 
 
 def official_bytes(codes: Codes) -> ByteRows:

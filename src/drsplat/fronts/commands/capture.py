@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...base.progress import Meter
+from ...base.system import peak_memory_bytes
 from .declaring import Facts, argument, declaration, finite, length, option
 from .options import Verb, invert_masks, keep_people, overwrite, people_text
 from .tables import show_facts, show_table, size_text, text_of
 
 if TYPE_CHECKING:
-    from ...base.progress import Meter
     from ...photos.capture.measuring import KnownDistance
     from ...photos.capture.settings import CaptureSettings
 
@@ -62,20 +65,17 @@ class Options(Verb):
     def settings(self) -> CaptureSettings:
         from ...photos.capture.settings import CaptureSettings
 
-        return CaptureSettings(
-            self.lens, self.scale, _known_distance(self.known_distance, self.places), self.invert_masks,
-            self.keep_people,
-        )  # fmt: skip
+        known = _known_distance(self.known_distance, self.places)
+        return CaptureSettings(self.lens, self.scale, known, self.invert_masks, self.keep_people)
 
 
 def run(options: Options) -> Facts:
-    from ...base.system import peak_memory_bytes
     from ...photos.capture.capturing import capture
 
-    with Stages(options.json) as stages:
+    with _stages(options.json) as progress:
         record = capture(
             options.photos, options.output, options.settings,
-            overwrite=options.overwrite, threads=options.threads, progress=stages.update,
+            overwrite=options.overwrite, threads=options.threads, progress=progress,
         )  # fmt: skip
     return {"capture": options.output, **record, "peak_memory_bytes": peak_memory_bytes()}
 
@@ -103,28 +103,20 @@ def _known_distance(given: list[str] | None, places: str | None) -> KnownDistanc
     return KnownDistance(Place(given[0], x1, y1), Place(given[3], x2, y2), metres)
 
 
-class Stages:
-    """Progress of one stage after the other, each with a `Meter` of its own."""
+@contextmanager
+def _stages(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """Yield a function that shows how much of a stage is done, with a `Meter` for one stage after the other."""
+    with ExitStack() as shown:
+        meters: dict[str, Meter] = {}
 
-    def __init__(self, quiet: bool) -> None:
-        self._quiet, self._stage = quiet, ""
-        self._meter: Meter | None = None
+        def update(stage: str, done: int, total: int) -> None:
+            if stage not in meters:  # the one before has ended
+                shown.close()
+                meters.clear()
+                meters[stage] = shown.enter_context(Meter(stage, total, quiet=quiet))
+            meters[stage].update(done, "")
 
-    def __enter__(self) -> Stages:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._meter is not None:
-            self._meter.__exit__(None, None, None)
-
-    def update(self, stage: str, done: int, total: int) -> None:
-        """Show how much of a stage is done; the first call for another stage ends the one before."""
-        from ...base.progress import Meter
-
-        if stage != self._stage or self._meter is None:
-            self.__exit__()
-            self._stage, self._meter = stage, Meter(stage, total, quiet=self._quiet)
-        self._meter.update(done, "")
+        yield update
 
 
 def interrupted(options: Options) -> str:
@@ -133,14 +125,16 @@ def interrupted(options: Options) -> str:
 
 
 def show(answer: Facts) -> None:
-
-    registered, photos = answer["num_registered"], answer["num_photos"]
-    residual = answer["gps_residual_m"]
+    registered, frames, residual = answer["num_registered"], answer["video"], answer["gps_residual_m"]
+    chosen = {} if frames is None else {
+        "frames": f"{text_of(frames['num_chosen'])} of {text_of(frames['num_frames'])} became photos, "
+        f"{text_of(frames['num_blurred'])} were blurred, {text_of(frames['num_still'])} showed nothing new"
+    }  # fmt: skip
     show_facts(
         f"capture: {answer['capture']}",
         {
-            "posed": f"{text_of(registered)} of {text_of(photos)} photos",
-            **({} if answer["video"] is None else {"frames": _frames_text(answer["video"])}),
+            "posed": f"{text_of(registered)} of {text_of(answer['num_photos'])} photos",
+            **chosen,
             "points": f"{text_of(answer['num_points'])}, {answer['reprojection_error_px']:.2f} px on average",
             "lengths": "in metres, from " + answer["scale_from"] if answer["unit"] == "m" else "in an unknown unit",
             "up": f"+z, from {answer['up_from']}" if answer["up"] else "unknown",
@@ -153,11 +147,3 @@ def show(answer: Facts) -> None:
     if answer["left_out"]:
         rows = [(photo["name"], photo["reason"]) for photo in answer["left_out"]]
         show_table("Photos without a pose", ("photo", "why"), rows)
-
-
-def _frames_text(counts: dict[str, int]) -> str:
-
-    return (
-        f"{text_of(counts['num_chosen'])} of {text_of(counts['num_frames'])} became photos, "
-        f"{text_of(counts['num_blurred'])} were blurred, {text_of(counts['num_still'])} showed nothing new"
-    )

@@ -1,4 +1,4 @@
-"""drsplat catalogue: the objects of many scenes in one table, asked in words."""
+"""drsplat catalogue: the objects of many scenes in one folder, asked in words."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from .query_options import asked, numbers, query_of
 from .tables import show_table, text_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from datetime import datetime
 
     from ...query.catalogue import Catalogue
@@ -30,11 +31,11 @@ EXAMPLES = """\
   drsplat catalogue index flats.catalogue
 
 A scene is a folder as for `drsplat serve`, with objects (`drsplat objects` finds them), or a field alone; adding it
-again replaces its entries. Needs LanceDB: `drsplat doctor` says how to install it. `index` makes searches over more
-than 100,000 objects fast."""
+again replaces its entries. `index` makes searches over more than 100,000 objects fast."""
 DAILY = "name top exclude scene picture encoder"
 ACTIONS = ("add", "remove", "list", "ask", "index")
 MAX_MATCHES = 1000
+LISTED = ("scene", "num_objects", "num_agreed", "added")
 STATES = {
     "current": "", "changed": "its field is another now: add it again", "missing": "nothing is there any more",
     "unknown": "not from a folder",
@@ -76,17 +77,24 @@ def run(options: Options) -> Facts:
     from ...query.catalogue import Catalogue
 
     _check(options)
-    opened = Catalogue.open(options.catalogue, **vars(options.encoders), threads=options.threads)
-    return {"catalogue": options.catalogue, "action": options.action, **_BY_ACTION[options.action][0](options, opened)}
-
-
-def show(answer: Facts) -> None:
-    _BY_ACTION[answer["action"]][1](answer)
+    catalogue = Catalogue.open(options.catalogue, **vars(options.encoders), threads=options.threads)
+    match options.action:
+        case "add":
+            done = _add(options, catalogue)
+        case "remove":
+            removed = {name: catalogue.remove(name) for name in options.given}
+            done = {"removed": removed, "num_objects": len(catalogue)}
+        case "list":
+            done = _list(catalogue)
+        case "ask":
+            done = _ask(options, catalogue)
+        case _:
+            done = {"num_objects": catalogue.build_index()}
+    return {"catalogue": options.catalogue, "action": options.action, **done}
 
 
 def _check(options: Options) -> None:
     """Check all that can be known to be wrong before any work is done."""
-
     wanted = {"add": "folders of scenes", "remove": "names of scenes"}.get(options.action)
     if wanted and not options.given:
         raise InputError(f"catalogue {options.action}: expected {wanted}")
@@ -108,31 +116,18 @@ def _add(options: Options, catalogue: Catalogue) -> Facts:
         catalogue.add(scene_files(path, views=options.views), name=options.name, track=options.track)
         for path in options.given
     ]
-    return {
-        "scenes": [_scene_json(one) for one in listed],
-        "num_objects": len(catalogue),
-        "wants_index": catalogue.wants_index,
-    }
+    return {"scenes": _scenes_json(listed), "num_objects": len(catalogue), "wants_index": catalogue.wants_index}
 
 
-def _remove(options: Options, catalogue: Catalogue) -> Facts:
-    removed = {name: catalogue.remove(name) for name in options.given}
-    return {"removed": removed, "num_objects": len(catalogue)}
-
-
-def _list(_: Options, catalogue: Catalogue) -> Facts:
+def _list(catalogue: Catalogue) -> Facts:
     from ...scene.encoders import identity_text
 
     scenes = catalogue.scenes()
     return {
         "encoder": identity_text(catalogue.encoder),
         "num_objects": sum(one.num_objects for one in scenes),
-        "scenes": [_scene_json(one) for one in scenes],
+        "scenes": _scenes_json(scenes),
     }
-
-
-def _index(_: Options, catalogue: Catalogue) -> Facts:
-    return {"num_objects": catalogue.build_index()}
 
 
 def _ask(options: Options, catalogue: Catalogue) -> Facts:
@@ -153,8 +148,8 @@ def _ask(options: Options, catalogue: Catalogue) -> Facts:
     return {"query": said, **answer.json(), "matches": [entry.json() for entry in answer.entries], "picture": drawn}
 
 
-def _scene_json(one: Any) -> Facts:
-    return {**vars(one), "added": one.added.isoformat()}
+def _scenes_json(scenes: Sequence[Any]) -> list[Facts]:
+    return [{**vars(one), "added": one.added.isoformat()} for one in scenes]
 
 
 def _moment(text: str | None) -> datetime | None:
@@ -172,50 +167,47 @@ def _moment(text: str | None) -> datetime | None:
         raise InputError(f"--since {text}: expected a time, e.g. 2026-11-22 or 2026-11-22T14:00") from None
 
 
-def _show_add(answer: Facts) -> None:
-    for one in answer["scenes"]:
-        agreed = (
-            f", {text_of(one['num_agreed'])} that photos agree on" if one["num_agreed"] < one["num_objects"] else ""
-        )
-        print(f"added '{one['scene']}': {counted(one['num_objects'], 'object')}{agreed}")
-    print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
-    if answer["wants_index"]:
-        print(f"Every query compares all of them: drsplat catalogue index {answer['catalogue']}")
+def show(answer: Facts) -> None:
+    number, place = counted(answer.get("num_objects", 0), "object"), answer["catalogue"]
+    match answer["action"]:
+        case "add":
+            for one in answer["scenes"]:
+                agreed = text_of(one["num_agreed"])
+                unsure = f", {agreed} that photos agree on" if one["num_agreed"] < one["num_objects"] else ""
+                print(f"added '{one['scene']}': {counted(one['num_objects'], 'object')}{unsure}")
+            print(f"{place} has {number}")
+            if answer["wants_index"]:
+                print(f"Every query compares all of them: drsplat catalogue index {place}")
+        case "remove":
+            for name, count in answer["removed"].items():
+                removed = f"removed '{name}': {counted(count or 0, 'object')}"
+                print(f"'{name}' was removed before" if count is None else removed)
+            print(f"{place} has {number}")
+        case "list":
+            title = f"{counted(len(answer['scenes']), 'scene')}, {number}; words by {answer['encoder']}"
+            rows = [
+                (*map(text_of, (one[key] for key in LISTED)), STATES[one["state"]], one["folder"])
+                for one in answer["scenes"]
+            ]
+            show_table(title, ("scene", "objects", "agreed on", "added", "state", "folder"), rows)
+        case "ask":
+            _show_matches(answer)
+        case _:
+            print(f"indexed {number}")
 
 
-def _show_remove(answer: Facts) -> None:
-    for name, number in answer["removed"].items():
-        if number is None:
-            print(f"'{name}' was removed before")
-        else:
-            print(f"removed '{name}': {counted(number, 'object')}")
-    print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
-
-
-def _show_list(answer: Facts) -> None:
-    number = counted(len(answer["scenes"]), "scene")
-    title = f"{number}, {counted(answer['num_objects'], 'object')}; words by {answer['encoder']}"
-    rows = [
-        (
-            one["scene"],
-            text_of(one["num_objects"]),
-            text_of(one["num_agreed"]),
-            one["added"],
-            STATES[one["state"]],
-            one["folder"],
-        )
-        for one in answer["scenes"]
-    ]
-    show_table(title, ("scene", "objects", "agreed on", "added", "state", "folder"), rows)
-
-
-def _show_ask(answer: Facts) -> None:
+def _show_matches(answer: Facts) -> None:
     compared = counted(answer["num_compared"], "object")
     how = f"{answer['measure']}, threshold {answer['threshold']:.4g}; {compared} compared"
+    rows = []
+    for one in answer["matches"]:
+        places = (" ".join(f"{x:.2f}" for x in one[key]) for key in ("center", "extent"))
+        name, photo = one["label"] or one["name"] or "", one["photo"] or ""
+        rows.append((one["scene"], str(one["object_id"]), name, f"{one['score']:.3f}", *places, photo))
     show_table(
         f"{counted(answer['num_matches'], 'match', 'matches')} for “{answer['query']}” by {how}",
         ("scene", "object", "name", "score", "centre", "extent", "photo"),
-        [_row(one) for one in answer["matches"]],
+        rows,
     )
     if not answer["num_compared"]:
         print("Nothing was compared: --scene, --box, --area and --since leave no object; `list` tells the scenes.")
@@ -223,19 +215,3 @@ def _show_ask(answer: Facts) -> None:
         print("No object of any scene answers this: try other words, or a lower --threshold.")
     if answer["picture"]:
         print(f"written to {answer['picture']}")
-
-
-def _row(one: Facts) -> tuple[str, ...]:
-    places = (" ".join(f"{x:.2f}" for x in one[key]) for key in ("center", "extent"))
-    name, photo = one["label"] or one["name"] or "", one["photo"] or ""
-    return one["scene"], str(one["object_id"]), name, f"{one['score']:.3f}", *places, photo
-
-
-def _show_index(answer: Facts) -> None:
-    print(f"indexed {counted(answer['num_objects'], 'object')}")
-
-
-_BY_ACTION = {
-    "add": (_add, _show_add), "remove": (_remove, _show_remove), "list": (_list, _show_list), "ask": (_ask, _show_ask),
-    "index": (_index, _show_index),
-}  # fmt: skip

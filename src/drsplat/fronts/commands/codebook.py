@@ -63,29 +63,24 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...base.progress import Stopwatch
-    from ...base.system import peak_memory_bytes
     from ...field.codes import load_codebook, save_codebook
 
     output = new_or_complete(options.output, options.overwrite, ".safetensors")
     if (options.features is None) == (options.lvis is None):
         raise InputError("codebook train: give either FEATURES.npy or --lvis with --images")
-    watch = Stopwatch()
-    parts = parts_of(output)
-    if options.features is None:
-        rows, encoder, facts = _embedded(options, parts)
-    else:
-        rows, encoder, facts = _training_rows(options.features, options.encoder_name)
+    watch, parts = Stopwatch(), parts_of(output)
+    rows, encoder, facts = _embedded(options, parts) if options.features is None else _read(options, options.features)
     watch.lap("embed")
     codebook, cosines = _trained(rows, encoder, options)
     watch.lap("train")
     complete = was_complete(output, options.overwrite, lambda: load_codebook(output).hash == codebook.hash)
     if not complete:
         save_codebook(codebook, output, overwrite=options.overwrite)
-    del rows
+    del rows  # they may be mapped from the parts
     if options.features is None:
         shutil.rmtree(parts, ignore_errors=True)
     return {
-        "codebook": str(output),
+        "codebook": output,
         "was_complete": complete,
         "encoder": encoder.name,
         "dim": encoder.dim,
@@ -95,9 +90,7 @@ def run(options: Options) -> Facts:
         "num_held_out": len(cosines),
         "held_out_cosine": float(cosines.mean()) if len(cosines) else None,
         "held_out_cosine_worst": float(cosines.min()) if len(cosines) else None,
-        "seconds": sum(watch.seconds.values()),
-        "stage_seconds": watch.seconds,
-        "peak_memory_bytes": peak_memory_bytes(),
+        **watch.measures(),
     }
 
 
@@ -139,17 +132,16 @@ def _embedded(options: Options, parts: Path) -> tuple[Array, EncoderIdentity, di
     return embedded.embeddings, encoder.identity, facts
 
 
-def _training_rows(path: str, encoder: str | None) -> tuple[Array, EncoderIdentity, dict[str, int]]:
+def _read(options: Options, path: str) -> tuple[Array, EncoderIdentity, dict[str, int]]:
     from ... import EncoderIdentity
     from ...formats.npy import map_npy
 
-    if encoder is None:
+    if options.encoder_name is None:
         raise InputError(f"{path}: the file does not name its encoder: pass --encoder-name NAME")
     rows = map_npy(Path(path))
     if rows.ndim != 2 or 0 in rows.shape or rows.dtype.kind != "f":
         raise FormatError(f"{path}: expected floats (N, D), got {rows.dtype} {rows.shape}")
-    identity = EncoderIdentity(encoder, rows.shape[1])
-    return rows, identity, {"num_embeddings": len(rows)}
+    return rows, EncoderIdentity(options.encoder_name, rows.shape[1]), {"num_embeddings": len(rows)}
 
 
 def _trained(rows: Array, encoder: EncoderIdentity, options: Options) -> tuple[Codebook, Array]:

@@ -10,13 +10,10 @@ level = "large"
 from __future__ import annotations
 
 import argparse
-import os
 import re
-import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ...base.system import NO_WAITING, OWN_FILE_FLAGS, can_be_a_path
 from ...base.terminal import counted, plain, quoted
 from ...errors import InputError
 
@@ -34,48 +31,57 @@ class Given(NamedTuple):
 
 
 def uses_of(path: str, verb: str, options: Mapping[str, argparse.Action]) -> Iterator[tuple[str, Given]]:
-    """Return each use of an option of a verb that a file has, with its name there.
+    """Return each use of an option that a file has for a verb, with its name there.
+
+    All of the verb's own table counts, and of what stands above the tables what the verb has.
 
     Raises: InputError: the file is no TOML, or has what the verb does not take. OSError: it cannot be read.
     """
-    for key, value in _chosen(_tables(path), verb, options, path).items():
+    tables = tables_of(path)
+    own = tables.get(verb, {})
+    if not isinstance(own, dict):
+        raise InputError(f"{path}: expected a table [{verb}], got {verb} = {quoted(str(own))}")
+    for key in own.keys() - options.keys():
+        hint = did_you_mean(key, options) or f"; it has {', '.join(options)}"
+        raise InputError(f"{path}: {verb} has no option {quoted(key)}{hint}")
+    common = {key: value for key, value in tables.items() if key in options and not isinstance(value, dict)}
+    for key, value in (common | own).items():
         for texts in _uses(options[key], value, f"{path}: {key}"):
             yield key, Given(options[key], texts)
 
 
-def configuration(verb: str, options: Mapping[str, argparse.Action], given: Iterable[Given]) -> str:
+def configuration(verb: str, options: Mapping[str, argparse.Action], given: Sequence[Given]) -> str:
     """Return TOML of what a line gives for a verb, and in comments the defaults of the rest.
 
     Raises: InputError: TOML cannot hold it.
     """
-    uses = [use for use in given if use.option in options.values()]
-    # refuse a sequence that returns to an option: a table has each key once
-    sequence = [use.option for use in uses if hasattr(use.option, "sequence")]
-    groups = [option for at, option in enumerate(sequence) if at == 0 or sequence[at - 1] is not option]
-    for option in groups:
-        bare = option.nargs == 0 and sequence.count(option) > 1
-        if bare or groups.count(option) > 1:
-            flag = option.option_strings[0]
-            raise InputError(f"{flag} {counted(sequence.count(option), 'time')}: a file of TOML has each option once")
+    uses: dict[str, list[list[str]]] = {}
     keys = {option: key for key, option in options.items()}
-    lines = [f"{keys[option]} = {_value(option, uses)}" for option in dict.fromkeys(use.option for use in uses)]
-    rest = {key: option.default for key, option in options.items() if option not in {use.option for use in uses}}
+    last = None
+    for option, texts in given:
+        if option not in keys:
+            continue
+        key = keys[option]
+        if hasattr(option, "sequence"):  # which cannot return to an option: a table has each key once
+            if key in uses and (option.nargs == 0 or key != last):
+                number = counted(sum(use.option is option for use in given), "time")
+                raise InputError(f"--{key} {number}: a file of TOML has each option once")
+            last = key
+        uses.setdefault(key, []).append(texts)
+    lines = [f"{key} = {_value(options[key], texts)}" for key, texts in uses.items()]
+    rest = {key: option.default for key, option in options.items() if key not in uses}
     lines += [f"# {key} = {_toml(default)}" for key, default in rest.items() if _is_plain(default)]
     return "\n".join([f"[{verb}]", *lines])
 
 
+def name_of(option: argparse.Action) -> str:
+    """Return the long name of an option without the dashes; nothing of a positional argument."""
+    return next((flag[2:] for flag in option.option_strings if flag.startswith("--")), "")
+
+
 def options_of(options: Iterable[argparse.Action]) -> dict[str, argparse.Action]:
     """Return the options that a file can set, by their long names without the dashes."""
-    kept = (option for option in options if option.dest not in OPTIONS_NOT_KEPT)
-    return {next(flag for flag in option.option_strings if flag.startswith("--"))[2:]: option for option in kept}
-
-
-def table_keys(path: str) -> dict[str, set[str]]:
-    """Return the options that each table of a file of --config sets, by the tables' names.
-
-    Raises: InputError: the file is no TOML. OSError: it cannot be read.
-    """
-    return {name: {_key(key) for key in own} for name, own in _tables(path).items() if isinstance(own, dict)}
+    return {name_of(option): option for option in options if option.dest not in OPTIONS_NOT_KEPT}
 
 
 def place(option: argparse.Action) -> str:
@@ -83,12 +89,22 @@ def place(option: argparse.Action) -> str:
     return str(getattr(option, "sequence", option.dest))
 
 
-def _tables(path: str) -> dict[str, Any]:
+def tables_of(path: str) -> dict[str, Any]:
+    """Return what a file of --config has, and in its tables; names have dashes as on the line.
+
+    Raises: InputError: the file is no TOML. OSError: it cannot be read.
+    """
     import tomllib
 
-    content, fault = _content(path), ""
+    from ...base.contents import open_file
+
+    with open_file(path) as file:
+        content = file.read(MAX_FILE_BYTES + 1)
+    if len(content) > MAX_FILE_BYTES:
+        raise InputError(f"{path}: expected a file of options, at most {MAX_FILE_BYTES:,} bytes")
     try:
-        return tomllib.loads(content.decode("utf-8-sig"))
+        tables = _with_dashes(tomllib.loads(content.decode("utf-8-sig")))
+        return {name: _with_dashes(own) if isinstance(own, dict) else own for name, own in tables.items()}
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         fault = plain(str(error))[:200]
     except RecursionError:
@@ -98,38 +114,8 @@ def _tables(path: str) -> dict[str, Any]:
     raise InputError(f"{path}: expected TOML, such as 'threads = 4' under '[register]': {fault}")
 
 
-def _content(path: str) -> bytes:
-    """Read a regular file without waiting: a pipe could block for ever, a device has no end."""
-    if not can_be_a_path(path):
-        raise InputError(f"--config: expected text in UTF-8, got {quoted(path)}")
-    number = os.open(path, os.O_RDONLY | NO_WAITING | OWN_FILE_FLAGS)
-    if not stat.S_ISREG(os.fstat(number).st_mode):
-        os.close(number)
-        raise InputError(f"{path}: expected a file of TOML, this is a folder, a pipe or a device")
-    with open(number, "rb") as file:
-        content = file.read(MAX_FILE_BYTES + 1)
-    if len(content) > MAX_FILE_BYTES:
-        raise InputError(f"{path}: expected a file of options, at most {MAX_FILE_BYTES:,} bytes")
-    return content
-
-
-def _chosen(
-    tables: dict[str, Any], verb: str, options: Mapping[str, argparse.Action], path: str
-) -> dict[str, Any]:  # fmt: skip
-    """Return a verb's settings: all of its own table, and of what stands above the tables what the verb has."""
-    common = {_key(key): value for key, value in tables.items() if not isinstance(value, dict)}
-    own = tables.get(verb, {})
-    if not isinstance(own, dict):
-        raise InputError(f"{path}: expected a table [{verb}], got {verb} = {quoted(str(own))}")
-    own = {_key(key): value for key, value in own.items()}
-    for key in own.keys() - options.keys():
-        hint = did_you_mean(key, options) or f"; it has {', '.join(options)}"
-        raise InputError(f"{path}: {verb} has no option {quoted(key)}{hint}")
-    return {key: value for key, value in common.items() if key in options} | own
-
-
-def _key(name: str) -> str:
-    return name.replace("_", "-")
+def _with_dashes(table: dict[str, Any]) -> dict[str, Any]:
+    return {name.replace("_", "-"): value for name, value in table.items()}
 
 
 def _uses(option: argparse.Action, value: object, where: str) -> list[list[str]]:
@@ -138,13 +124,14 @@ def _uses(option: argparse.Action, value: object, where: str) -> list[list[str]]
         return [[]] if value else []
     if option.nargs == 0:
         raise InputError(f"{where}: expected true or false, got {quoted(_shown(value))}")
-    if not isinstance(value, list):
-        return [[_text(value, where)]]
-    if not _repeats(option):
-        return [[_text(each, where) for each in value]]
-    if option.nargs is None or any(isinstance(each, list) for each in value):
-        return [[_text(part, where) for part in (each if isinstance(each, list) else [each])] for each in value]
-    return [[_text(each, where) for each in value]]
+    uses = _listed(value)
+    if _repeats(option) and (option.nargs is None or any(isinstance(use, list) for use in uses)):
+        return [[_text(part, where) for part in _listed(use)] for use in uses]
+    return [[_text(part, where) for part in uses]]
+
+
+def _listed(value: object) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
 def _repeats(option: argparse.Action) -> bool:
@@ -164,17 +151,13 @@ def _shown(value: object) -> str:
         return f"a {type(value).__name__} that is too long"
 
 
-def _value(option: argparse.Action, uses: list[Given]) -> str:
+def _value(option: argparse.Action, uses: list[list[str]]) -> str:
     """Return the TOML of all uses of one option."""
-    texts = [use.texts for use in uses if use.option is option]
-    if not _repeats(option):
-        texts = texts[-1:]  # the last one counts
-    if not texts[0]:
+    kept = uses if _repeats(option) else uses[-1:]  # the last one counts
+    if not kept[0]:
         return "[]" if option.nargs == argparse.ZERO_OR_MORE else "true"
-    if option.nargs in (None, argparse.OPTIONAL):
-        values = [use[0] for use in texts]
-        return _toml(values if _repeats(option) and len(values) > 1 else values[0])
-    return _toml(texts if len(texts) > 1 else texts[0])
+    values = [use[0] for use in kept] if option.nargs in (None, argparse.OPTIONAL) else kept
+    return _toml(values if len(values) > 1 else values[0])
 
 
 def _is_plain(value: object) -> bool:

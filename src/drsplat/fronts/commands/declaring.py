@@ -18,14 +18,13 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, dataclass_transform
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar, dataclass_transform
 
 from ...base.terminal import quoted
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MAX_COUNT = 2**31 - 1  # the kernels count with 32 bits
 MAX_NUMBER = 3.4e38  # the kernels measure with float32
@@ -114,8 +113,8 @@ class Item(NamedTuple):
 def argument(meaning: str, kind: Callable[[str], Any] | None = None, value: str | None = None, **more: Any) -> Any:
     """Declare a positional argument. more: nargs and choices, as in argparse."""
     default: dict[str, Any] = {"default": None} if more.get("nargs") in ("?", "*") else {}
-    named = {} if value is None else {"metavar": value}  # else the parser names it
-    return field(**default, metadata={"flags": None, "settings": {"help": meaning, "type": kind, **named, **more}})
+    settings = {"help": meaning, "type": kind, "metavar": value, **more}
+    return field(**default, metadata={"settings": settings})
 
 
 def option(
@@ -134,19 +133,17 @@ def option(
         rivals: name of a group of options of which one can be given.
         more: nargs, const, choices, action and required, as in argparse.
     """
-    settings = {"help": meaning, "metavar": value, "type": kind, "default": default, **more}
+    given = {"metavar": value, "type": kind}
+    settings = {"help": meaning, "default": default, **{name: one for name, one in given.items() if one}, **more}
     about = {"flags": flags, "title": title, "rivals": rivals, "settings": settings}
     if more.get("required"):
         return field(metadata=about)
-    return field(default_factory=lambda: list(default) if isinstance(default, list) else default, metadata=about)
+    return field(default_factory=partial(copy, default), metadata=about)
 
 
-def flag(meaning: str, *, flags: str = "", title: str = "", rivals: str = "") -> Any:
-    """Declare an option without a value, False where it is not given."""
-    settings = {"help": meaning, "action": "store_true", "default": False}
-    return field(
-        default=False, metadata={"flags": flags, "title": title, "rivals": rivals, "settings": settings}
-    )  # fmt: skip
+def flag(meaning: str, **more: Any) -> Any:
+    """Declare an option without a value, False where it is not given. more: flags, title and rivals of `option`."""
+    return option(meaning, default=False, action="store_true", **more)
 
 
 def part(declared: type[T], title: str = "", **others: Mapping[str, Any]) -> T:
@@ -160,7 +157,9 @@ def several(items: Sequence[Item], make: Callable[[Mapping[str, Any]], Any]) -> 
     return field(default_factory=lambda: make(defaults), metadata={"items": items, "make": make})
 
 
-def items_of(declared: type, title: str = "", others: Mapping[str, Mapping[str, Any]] | None = None) -> Iterator[Item]:
+def items_of(
+    declared: type, title: str = "", others: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+) -> Iterator[Item]:
     """Return the arguments that a dataclass declares, in order, without those of its bases."""
     title = title or getattr(declared, "TITLE", "")
     of_bases = {one.name for base in declared.__bases__ if is_dataclass(base) for one in fields(base)}
@@ -168,15 +167,15 @@ def items_of(declared: type, title: str = "", others: Mapping[str, Mapping[str, 
         about = {} if one.name in of_bases else one.metadata
         if "items" in about:
             yield from (item if item.title else item._replace(title=title) for item in about["items"])
+        elif "flags" in about:
+            flags, settings = about["flags"].split(), about["settings"] | others.get(one.name, {})
+            if not any(flag.startswith("--") for flag in flags):
+                flags.insert(0, f"--{one.name.replace('_', '-')}")
+            yield Item(one.name, flags, settings, about["title"] or title, about["rivals"])
         elif about:
-            settings = about["settings"] | (others or {}).get(one.name, {})
-            flags = () if about["flags"] is None else _flags(one.name, about["flags"])
-            yield Item(one.name, flags, settings, about.get("title") or title, about.get("rivals", ""))
-
-
-def _flags(name: str, others: str) -> list[str]:
-    flags = others.split()
-    return flags if any(flag.startswith("--") for flag in flags) else [f"--{name.replace('_', '-')}", *flags]
+            settings = about["settings"]
+            value = None if settings.get("choices") else one.name.upper()  # choices are their own names
+            yield Item(one.name, (), {**settings, "metavar": settings["metavar"] or value}, title)
 
 
 def add_options(parser: argparse.ArgumentParser, items: Iterable[Item]) -> None:

@@ -33,40 +33,28 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...evaluation.demo.story import resumable
-
-    folder = Path(options.output_dir)
-    with resumable(folder, options.overwrite):
-        return _run_story(options, folder)
-
-
-def interrupted(options: Options) -> str:
-    """Return what a stopped demo keeps, and how to go on."""
-    again = ", without --overwrite," if options.overwrite else ""
-    return f"the photos embedded so far are kept in {options.output_dir}: give the same command again{again} to go on"
-
-
-def _run_story(options: Options, folder: Path) -> Facts:
     from ...base.progress import Stopwatch
-    from ...base.system import peak_memory_bytes
-    from ...evaluation.demo.story import FIELD, SCENE, tell, write_album
+    from ...evaluation.demo.story import FIELD, SCENE, resumable, tell, write_album
     from ...query import Scene
     from ..viewing.exporting import export_page
 
-    watch, threads, followed = Stopwatch(), options.threads, options.track
-    story = tell(folder, overwrite=True, anew=options.overwrite, threads=threads, track=followed)
-    watch.lap("story")
-    pictures = write_album(folder, story, overwrite=True)
-    watch.lap("pictures")
-    page, scene = folder / PAGE, Scene(story.field, story.gaussians, story.views, threads=threads)
-    export_page(page, scene, [one.probe.text for one in story.verdicts], title=TITLE, edits="none", overwrite=True)
+    folder, threads = Path(options.output_dir), options.threads
+    watch, page = Stopwatch(), folder / PAGE
+    with resumable(folder, options.overwrite):
+        story = tell(folder, overwrite=True, anew=options.overwrite, threads=threads, track=options.track)
+        watch.lap("story")
+        pictures = write_album(folder, story, overwrite=True)
+        watch.lap("pictures")
+        scene = Scene(story.field, story.gaussians, story.views, threads=threads)
+        export_page(page, scene, [one.probe.text for one in story.verdicts], title=TITLE, edits="none", overwrite=True)
     watch.lap("page")
+    spent = watch.measures()
     return {
-        "output_dir": str(folder),
-        "scene": str(folder / SCENE),
-        "field": str(folder / FIELD),
-        "overview": str(pictures[0]),
-        "page": str(page),
+        "output_dir": folder,
+        "scene": folder / SCENE,
+        "field": folder / FIELD,
+        "overview": pictures[0],
+        "page": page,
         "num_gaussians": len(story.gaussians),
         "num_registered": len(story.field),
         "num_photos": len(story.views),
@@ -75,11 +63,16 @@ def _run_story(options: Options, folder: Path) -> Facts:
         "num_weights": story.num_weights,
         "queries": [_query(verdict, path) for verdict, path in zip(story.verdicts, pictures[1:], strict=True)],
         "num_right": sum(verdict.is_right for verdict in story.verdicts),
-        "seconds": sum(watch.seconds.values()),
+        **spent,
         "stage_seconds": {**story.seconds, "pictures": watch.seconds["pictures"], "page": watch.seconds["page"]},
-        "peak_memory_bytes": peak_memory_bytes(),
         "caption": CAPTION,
     }
+
+
+def interrupted(options: Options) -> str:
+    """Return what a stopped demo keeps, and how to go on."""
+    again = ", without --overwrite," if options.overwrite else ""
+    return f"the photos embedded so far are kept in {options.output_dir}: give the same command again{again} to go on"
 
 
 def show(answer: Facts) -> None:
@@ -121,7 +114,7 @@ def _row(query: Facts) -> tuple[str, ...]:
 def _query(verdict: Any, picture: Path) -> Facts:
     return {
         "text": verdict.probe.text,
-        "expected": list(verdict.probe.meant),
+        "expected": verdict.probe.meant,
         "is_right": verdict.is_right,
         "iou": verdict.iou,
         "num_selected": len(verdict.gaussian_ids),
@@ -129,7 +122,7 @@ def _query(verdict: Any, picture: Path) -> Facts:
         "count": verdict.count,
         "num_matches": verdict.num_matches,
         "center": verdict.center,
-        "score_range": list(verdict.scores),
+        "score_range": verdict.scores,
         "seconds": verdict.seconds,
-        "picture": str(picture),
+        "picture": picture,
     }

@@ -28,12 +28,11 @@ PACKAGES = {
     "timm": "open-clip, EdgeTAM", "open_clip_torch": "open-clip",
     "cupy-cuda12x": "cuda", "cupy-cuda13x": "cuda13", "fastapi": "viewer, serve", "uvicorn": "viewer, serve",
     "prometheus-client": "viewer, serve, mcp", "mcp": "mcp", "faiss-cpu": "not needed",
-    "lancedb": "catalogue", "pyarrow": "catalogue", "pycolmap": "capture", "pi-heif": "capture", "av": "capture",
+    "pycolmap": "capture", "pi-heif": "capture", "av": "capture",
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {
     "pose photos and videos (drsplat capture)": ("capture", ("pycolmap", "pi_heif", "av")),
-    "search many scenes at once (drsplat catalogue)": ("catalogue", ("lancedb", "pyarrow")),
     "show and search scenes in a browser (drsplat view)": ("viewer", ("fastapi", "uvicorn", "prometheus_client")),
     "serve scenes over HTTP (drsplat serve)": ("serve", ("fastapi", "uvicorn", "prometheus_client")),
     "scenes for language models (drsplat mcp)": ("mcp", ("mcp", "prometheus_client")),
@@ -45,7 +44,7 @@ MODELS = {
     "facebook/sam2.1-hiera-tiny": "masks, on a CPU",
 }
 """The default models by id; written out because importing those who load them takes longer than all of this."""
-_PROBE = "import json; from drsplat.fronts.commands.doctor import probe; print(json.dumps(probe()))"
+_PROBE = "import json; from drsplat.photos.models.probing import torch_facts; print(json.dumps(torch_facts()))"
 _PROBE_S = 120
 
 
@@ -61,22 +60,28 @@ class Options(Verb):
 
 
 def run(_: Options) -> Facts:
+    from ...kernels import available_isas, default_isa
     from ...photos.models.devices import has_fast_bfloat16
+    from ...photos.models.pretrained import cached_in_full
 
-    asked = _start_probe()  # the slowest: importing torch; the rest is done meanwhile
-    versions = {name: _version(name) for name in PACKAGES}
-    answer = {
+    has_hub, facts = _is_installed("huggingface_hub"), _probed()
+    return {
         "drsplat": _version("drsplat"),
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
-        "packages": versions,
-        "native": _native(),
-        "models": _models(),
+        "packages": {name: _version(name) for name in PACKAGES},
+        "native": {"instruction_sets": available_isas(), "chosen": default_isa()},
+        "models": {
+            name: {"for": use, "cached": cached_in_full(name) if has_hub else None} for name, use in MODELS.items()
+        },
+        "devices": {
+            "cpu_cores": os.cpu_count(),
+            "cpu_bfloat16": has_fast_bfloat16(),
+            "cuda": _gpus(facts),
+            "mps": facts.get("mps", False),
+        },
+        "can": abilities(facts),
     }
-    facts = _probed(asked)
-    devices: Facts = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
-    devices |= {"cuda": _gpus(facts), "mps": facts.get("mps", False)}
-    return {**answer, "devices": devices, "can": abilities(facts)}
 
 
 def show(answer: Facts) -> None:
@@ -109,37 +114,29 @@ def show(answer: Facts) -> None:
 def abilities(facts: Facts) -> dict[str, Facts]:
     """Return what can run: ready, else the reason, and what to do about it.
 
-    facts: as `probe` gives them; empty where torch is not installed.
+    facts: as `torch_facts` gives them; empty where torch is not installed.
     """
-    return {
-        "register, locate, render, train on the CPU": _ability(None, None),
-        "train, register, render on a CUDA GPU": _ability(_no_cuda(), None),
-        "masks and embeddings of real models (SAM, CLIP)": _ability(*_no_models(facts)),
-        **{name: _ability(*_no_extra(*needed)) for name, needed in SERVERS.items()},
+    from ...kernels.cuda.engine import unavailable
+
+    reasons = {
+        "register, locate, render, train on the CPU": (None, None),
+        "train, register, render on a CUDA GPU": (unavailable(), None),
+        "masks and embeddings of real models (SAM, CLIP)": _no_models(facts),
+        **{name: _no_extra(*needed) for name, needed in SERVERS.items()},
     }
+    return {name: {"ready": reason is None, "reason": reason, "cure": cure} for name, (reason, cure) in reasons.items()}
 
 
 def _no_extra(extra: str, modules: tuple[str, ...]) -> tuple[str | None, str | None]:
     absent = [name for name in modules if not _is_installed(name)]
-    if not absent:
-        return None, None
-    return f"not installed: {', '.join(absent)}", pip_install(extra)
-
-
-def _ability(reason: str | None, cure: str | None) -> Facts:
-    return {"ready": reason is None, "reason": reason, "cure": cure}
-
-
-def _no_cuda() -> str | None:
-    """Return why our kernels run on no GPU here, and what to do; None where they do."""
-    from ...kernels.cuda.engine import unavailable
-
-    return unavailable()
+    return (f"not installed: {', '.join(absent)}", pip_install(extra)) if absent else (None, None)
 
 
 def _gpus(facts: Facts) -> list[str]:
     """Return the CUDA GPUs that torch finds, or else CuPy."""
-    if facts.get("cuda") or _no_cuda() is not None:
+    from ...kernels.cuda.engine import unavailable
+
+    if facts.get("cuda") or unavailable() is not None:
         return list(facts.get("cuda", []))
     runtime = import_module("cupy").cuda.runtime
     return [runtime.getDeviceProperties(index)["name"].decode() for index in range(runtime.getDeviceCount())]
@@ -149,9 +146,6 @@ def _no_models(facts: Facts) -> tuple[str | None, str | None]:
     """Return why SAM and CLIP cannot run, and the cure."""
     from ...photos.models.libraries import NO_TORCHVISION
 
-    absent = [name for name in ("torch", "transformers") if not _is_installed(name)]
-    if absent:
-        return f"not installed: {', '.join(absent)}", pip_install("models")
     if facts.get("torch_fault"):
         return f"torch cannot be imported: {facts['torch_fault']}", f"{pip_install('models')} --force-reinstall"
     if facts.get("torchvision_fault"):
@@ -160,52 +154,27 @@ def _no_models(facts: Facts) -> tuple[str | None, str | None]:
             f"({facts['torchvision_fault']})",
             f"{NO_TORCHVISION} (drsplat needs none), or install the one of this torch",
         )
-    return None, None
+    return _no_extra("models", ("torch", "transformers"))
 
 
-def probe() -> Facts:
-    """Return what only importing torch can tell."""
-    from ...photos.models.probing import torch_facts
+def _probed() -> Facts:
+    """Return what only importing torch can tell, which another process does; one that died says why in its last line.
 
-    return torch_facts()
-
-
-def _start_probe() -> subprocess.Popen[str] | None:
+    It is {} without torch.
+    """
     if not _is_installed("torch"):
-        return None
-    return subprocess.Popen([sys.executable, "-c", _PROBE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def _probed(asked: subprocess.Popen[str] | None) -> Facts:
-    """Return the answer of a process, its last line; one that died says why in its own last line."""
-    if asked is None:
         return {}
     try:
-        out, errors = asked.communicate(timeout=_PROBE_S)
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=_PROBE_S, check=False
+        )
     except subprocess.TimeoutExpired:
-        asked.kill()
-        asked.communicate()
-        out, errors = "", f"no answer in {_PROBE_S} s"
+        return {"torch_fault": f"no answer in {_PROBE_S} s"}
     try:
-        facts = json.loads((out.splitlines() or [""])[-1])
+        facts: Facts = json.loads((done.stdout.splitlines() or [""])[-1])
     except ValueError:
-        fault = (errors.strip().splitlines() or [f"exit code {asked.returncode}"])[-1]
-        return {"torch_fault": fault}
-    return facts if isinstance(facts, dict) else {}
-
-
-def _native() -> Facts:
-    from ...kernels import available_isas, default_isa
-
-    return {"instruction_sets": list(available_isas()), "chosen": default_isa()}
-
-
-def _models() -> dict[str, Facts]:
-    """Return the purpose of each default model, and whether it is here (None: cannot be told), by id."""
-    from ...photos.models.pretrained import cached_in_full
-
-    known = _is_installed("huggingface_hub")
-    return {name: {"for": use, "cached": cached_in_full(name) if known else None} for name, use in MODELS.items()}
+        facts = {"torch_fault": (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]}
+    return facts
 
 
 def _is_installed(name: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,14 +17,11 @@ from .options import Encoders, Photos, Verb, overwrite
 from .query_options import asked, check_outputs, open_with, query_of, query_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from ...authoring.editing import EditFile, EditList
     from ...authoring.editing.draft import Draft
     from ...authoring.editing.edits import Change, KeptEdits
     from ...authoring.editing.targets import Target
     from ...base.arrays import Array
-    from ...formats.annotations import AnnotationFile
     from ...query import Scene
     from ...scene.gaussians import Gaussians
     from ...scene.labelled import Annotation
@@ -83,6 +80,7 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
+    from ... import write_gaussians
     from ...authoring.editing import EditList
     from ...authoring.editing.edits import without_kept
     from ...formats.annotations import AnnotationFile
@@ -90,10 +88,12 @@ def run(options: Options) -> Facts:
 
     check_outputs(options.save, options.picture, options.overwrite)
     work, changes, wanted = _work(options), options.change.changes, options.listed
-    notes, after = AnnotationFile.beside(work.path), None
+    notes, after, view = AnnotationFile.beside(work.path), None, None
     alone = without_kept(options.edits, changes=bool(changes), saves=bool(options.save))
     writes = wanted.undo or wanted.redo or wanted.annotate or wanted.drop_annotation or (changes and not alone)
-    with _held((work.file, notes) if writes else ()), together():
+    with ExitStack() as held, together():
+        for file in (work.file, notes) if writes else ():
+            held.enter_context(file.held())  # against other processes
         kept, noted = work.file.read(work.gaussians), notes.read()
         first = EditList(kept.scene) if alone else kept
         edits = work.changed(first)
@@ -104,14 +104,17 @@ def run(options: Options) -> Facts:
             work.file.write(edits)
         if annotations is not noted:
             notes.write(annotations)
-        view = None if after is None else _written(options, work, edits, after)
+        if options.save and after is not None:
+            write_gaussians(options.save, after, overwrite=options.overwrite, is_edited=True)
+        if options.picture and after is not None:
+            view = work.draw(options.picture, edits, after)
     if alone:
         note_left_out(kept.done)
     elif options.save or options.picture:
         note_applied(kept.done if changes else edits.done)
     return {
-        "scene": str(work.path),
-        "edits_file": str(work.file.path),
+        "scene": work.path,
+        "edits_file": work.file.path,
         "kept": not alone,
         "num_edits": edits.done,
         "num_undone": len(edits.edits) - edits.done,
@@ -123,24 +126,6 @@ def run(options: Options) -> Facts:
         "picture": options.picture,
         "view": None if view is None else view.name,
     }
-
-
-@contextmanager
-def _held(files: Iterable[EditFile | AnnotationFile]) -> Iterator[None]:
-    """Lock lists against other processes while the block runs."""
-    with ExitStack() as held:
-        for file in files:
-            held.enter_context(file.held())
-        yield
-
-
-def _written(options: Options, work: _Work, edits: EditList, after: Gaussians) -> View | None:
-    """Write --save and --picture; returns the view of the picture."""
-    from ... import write_gaussians
-
-    if options.save:
-        write_gaussians(options.save, after, overwrite=options.overwrite, is_edited=True)
-    return work.draw(options.picture, edits, after) if options.picture else None
 
 
 def show(answer: Facts) -> None:
@@ -292,7 +277,7 @@ class _Work:
         for name, value in changes:
             assert target is not None
             draft = self.draft(edits)
-            made = self._made(name, value, draft.part(target.ids(draft)))
+            made = self._made(name, value, draft.rows.subset(target.ids(draft)))
             edits = recorded(self.gaussians, edits.with_edit(Edit(target, made)), self.file.other)
         return edits
 
@@ -373,7 +358,7 @@ class _Work:
         else:
             parts = [self.target().ids(draft)]
         up = None if self.posed is None else self.posed.up
-        wholes = [draft.part(ids) for ids in parts]
+        wholes = [draft.rows.subset(ids) for ids in parts]
         boxes = [box_of(part, solid(part, np.arange(len(part))), up) for part in wholes]
         return (
             *known,

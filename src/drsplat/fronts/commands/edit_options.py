@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from ...base.terminal import counted, quoted
@@ -28,18 +29,14 @@ class _Then(argparse.Action):
 
     sequence = "changes"  # the name under which --config keeps all of these in their order
 
-    def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
-    ) -> None:
-        namespace.changes = [*(getattr(namespace, "changes", None) or []), (self.dest, values)]
+    def __call__(self, _: object, namespace: argparse.Namespace, values: Any, __: object = None) -> None:
+        namespace.changes = [*getattr(namespace, "changes", []), (self.dest, values)]
 
 
 class _Axis(argparse.Action):
     """Action that stores a direction, given as three numbers or as a letter with or without a sign."""
 
-    def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
-    ) -> None:
+    def __call__(self, _: object, namespace: argparse.Namespace, values: Any, __: object = None) -> None:
         sign, letter = (-1.0 if values[0][:1] == "-" else 1.0), values[0].lstrip("+-")
         if len(values) == 1 and letter in AXES:
             namespace.axis = [sign * (letter == name) for name in AXES]
@@ -162,12 +159,10 @@ def note_own_scenes(folders: Iterable[Path]) -> None:
 
     edited = []
     for folder in folders:
-        try:
+        with suppress(DrSplatError):  # which is reported when somebody asks for this scene
             files = scene_files(folder)
-        except DrSplatError:
-            continue  # it is reported when somebody asks for this scene
-        if any(EditFile.beside(scene).num_done() for scene in files.scenes):
-            edited.append(files.name)
+            if any(EditFile.beside(scene).num_done() for scene in files.scenes):
+                edited.append(files.name)
     if edited:
         _note(f"kept edits of {counted(len(edited), 'scene')} left out ({SAVES_THEM}): {listed(edited)}")
 

@@ -173,24 +173,17 @@ class Options(Verb):
 
         return Path(self.output) if self.output else capture_folder(Path(self.capture)) / "language_features"
 
-    def still(self, views: list[View]) -> list[View]:
-        """Return the views with the masks of what moves, where training wrote some beside the scene."""
-        from ...formats.mask_files import FOLDER
-        from ...training.transients import with_masks
-
-        scene = self.with_scene.scene
-        return views if scene is None or self.keep_people else with_masks(views, Path(scene) / FOLDER)
-
     def models(self) -> ModelChoice:
         """Return the models, of which "auto" leaves the choice to what can be had here.
 
         Raises: InputError: the features that are there are of better ones.
         """
-        from ...formats.embedding_record import last_settings
+        from ...formats.embedding_record import read_record
         from ..scanning.choosing import choose_models
 
         models = choose_models(self.segmenter or (AUTO if self.masks is None else ""), self.encoder, self.device)
-        made_by = (last_settings(self.folder) or {}).get("encoder")
+        record = read_record(self.folder)
+        made_by = None if record is None else record.settings.get("encoder")
         known = made_by.get("name") if isinstance(made_by, dict) else models.encoder
         if models.reason and self.encoder == AUTO and known != models.encoder and not self.overwrite:
             raise InputError(
@@ -225,8 +218,9 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...base.progress import Stopwatch
-    from ...base.system import peak_memory_bytes
+    from ...formats.mask_files import FOLDER
     from ...scene.views import pictures_kind
+    from ...training.transients import with_masks
 
     watch = Stopwatch()
     views = options.photos.views(options.capture, options.invert_masks)
@@ -241,7 +235,9 @@ def run(options: Options) -> Facts:
     watch.lap("load")
     chosen, seen = _chosen_views(options, views, scene)
     with without_people(options, chosen, options.photos.dataparser_transforms) as used:
-        report = _embedded(options, options.still(used), segmenter, encoder, scene)
+        if options.with_scene.scene and not options.keep_people:  # nor what moves, where training wrote masks of it
+            used = with_masks(used, Path(options.with_scene.scene) / FOLDER)
+        report = _embedded(options, used, segmenter, encoder, scene)
     watch.lap("embed")
     return {
         "output": str(options.folder),
@@ -260,9 +256,8 @@ def run(options: Options) -> Facts:
         "segmenter": models.segmenter,
         "encoder": encoder.identity.name,
         "dim": encoder.identity.dim,
-        "seconds": sum(watch.seconds.values()),
         "photos_per_second": (report.photos - report.reused) / watch.seconds["embed"],
-        "peak_memory_bytes": peak_memory_bytes(),
+        **watch.measures(),
     }
 
 

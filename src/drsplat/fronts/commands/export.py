@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from ...authoring.exporting.writing import Exported
     from ...formats.tiles import Tiles
     from ...query import Query, Scene
-    from ...scene.gaussians import Gaussians
     from ...scene.labelled import LabelledScene
-    from ...scene.moving import Moving
     from ...scene.views import View
     from .query_options import Asked
 
@@ -95,43 +93,38 @@ class Options(Verb):
         """Values that say what is written, by name."""
         return {**vars(self.content), **self.others, **self.cut}
 
-    @property
-    def subject(self) -> str | None:
-        """Name of the option whose query is answered. Raises: InputError: there are several."""
-        return only_one(self.asked, QUERIES)
-
 
 class _Given(NamedTuple):
-    """Inputs of an export, read of the options once.
+    """Inputs of an export.
 
-    named: the files that were named, the scene first. tiles: they are written as they are. views: photos of a scene
-    that has no field.
+    named: the files that were named, the scene first. tiles: they are written as they are. opened: a scene with its
+    field. views: photos of a scene that has none.
     """
 
-    output: Path
     named: list[Path]
     tiles: Tiles | None
-    scene: Scene | None
+    opened: Scene | None
     query: Query | None
     words: str
-    views: list[View]
-    time: float | None
-    content: Content
-    overwrite: bool
-
-
-class _Kind(NamedTuple):
-    """A kind of output. when: whether the options ask for it; the first that fits is written."""
-
-    name: str
-    when: Callable[[Options, _Given], bool]
-    writes: Callable[[_Given], Facts]
+    views: Sequence[View]
 
 
 def run(options: Options) -> Facts:
-    given = _given(options)
-    kind = next(kind for kind in KINDS if kind.when(options, given))
-    return {"scene": options.source, "saved": options.output, **kind.writes(given)}
+    from ...authoring.exporting.writing import written, written_streamed_sog
+
+    output = _output(options)
+    given = _given(options, output)
+    if options.masks:
+        facts = _masks(options, given)
+    elif options.tiles3d:
+        facts = _tiles3d(options, given)
+    elif given.tiles is not None:  # levels of detail, for which a few of the tiles are in memory at a time
+        facts = _facts(written_streamed_sog(output, given.tiles, options.overwrite))
+    else:
+        scene = _labelled(options, given)
+        done = written(output, scene, options.overwrite, options.content.spz_version)
+        facts = _facts(done, scene.query, scene.object_of)
+    return {"scene": options.source, "saved": options.output, **facts}
 
 
 def show(answer: Facts) -> None:
@@ -157,11 +150,10 @@ def show(answer: Facts) -> None:
         )
 
 
-def _given(options: Options) -> _Given:
+def _given(options: Options, output: Path) -> _Given:
     """Read what is written. Raises: InputError: options that do not go together; as what reads it."""
-    output, content = _output(options), options.content
     part_of = only_one(options.asked, ("only", "object", "label"))
-    subject = options.subject
+    subject = only_one(options.asked, QUERIES)
     if part_of == "only" and subject is None:
         raise InputError("only: what matches is that of a query: give --query WORDS")
     named = [Path(path) for path in (options.source, options.scene, options.field) if path is not None]
@@ -170,10 +162,14 @@ def _given(options: Options) -> _Given:
         field, scene = _field(options, subject)
     else:  # the Gaussians of their field stay on the disk
         field, scene = options.field or (options.scene and options.source), None
-    views = [] if tiles is not None or field is not None or options.masks else _views(options)
+    views: Sequence[View] = ()
+    if tiles is None and field is None and not options.masks and options.content.photos:
+        if options.views is None:
+            raise InputError("photos: a scene without a field has none of its own: pass views=CAPTURE as well")
+        views = options.photos.views(options.views)
     opened = None if field is None or (tiles is not None and not options.tiles3d) else open_with(options, field, scene)
     query, words = (None, "") if subject is None else (query_of(options.asked), query_text(options.asked))
-    return _Given(output, named, tiles, opened, query, words, views, options.time, content, options.overwrite)
+    return _Given(named, tiles, opened, query, words, views)
 
 
 def _output(options: Options) -> Path:
@@ -228,110 +224,59 @@ def _field(options: Options, subject: str | None) -> tuple[str | None, str | Non
     return options.field, options.source
 
 
-def _views(options: Options) -> list[View]:
-    """Return the photos that go along with a scene without a field. Raises: InputError: nobody names them."""
-    if not options.content.photos:
-        return []
-    if options.views is None:
-        raise InputError("photos: a scene without a field has none of its own: pass views=CAPTURE as well")
-    return options.photos.views(options.views)
-
-
-def _masks(given: _Given) -> Facts:
+def _masks(options: Options, given: _Given) -> Facts:
     """Write masks of the photos. Raises: InputError: as `write_masks`; a scene without a field."""
     from ...authoring.exporting.masking import write_masks
 
-    if given.scene is None:
+    if given.opened is None:
         raise InputError("masks are drawn of what a field knows: pass field=FIELD as well")
-    done = write_masks(given.output, given.scene, given.query, overwrite=given.overwrite)
+    done = write_masks(options.output, given.opened, given.query, overwrite=options.overwrite)
     return {"format": "masks", **done._asdict()}
 
 
-def _streamed(given: _Given) -> Facts:
-    """Write levels of detail of a folder of tiles, a few of which are in memory at a time."""
-    from ...authoring.exporting.writing import written_streamed_sog
-
-    assert given.tiles is not None
-    return _facts(written_streamed_sog(given.output, given.tiles, given.overwrite))
-
-
-def _tiles3d(given: _Given) -> Facts:
+def _tiles3d(options: Options, given: _Given) -> Facts:
     """Write 3D Tiles, where the scene lies on the Earth if a georeference.json beside it says so."""
     from ...authoring.exporting.writing import tiled, written_tiles3d
     from ...formats.georeference import read_georeference
 
     folders = [path if path.is_dir() else path.parent for path in given.named] + [path.parent for path in given.named]
-    earth = read_georeference(*folders)
+    earth, output = read_georeference(*folders), Path(options.output)
     if given.tiles is not None:
-        source = tiled(given.tiles, given.scene)
-        return _facts(written_tiles3d(given.output, source, earth, given.overwrite), owners=source.object_of)
-    scene = _alone(given) if given.scene is None else _with_field(given, given.scene)
-    return _facts(written_tiles3d(given.output, scene, earth, given.overwrite), scene.query, scene.object_of)
+        source = tiled(given.tiles, given.opened)
+        return _facts(written_tiles3d(output, source, earth, options.overwrite), owners=source.object_of)
+    scene = _labelled(options, given)
+    return _facts(written_tiles3d(output, scene, earth, options.overwrite), scene.query, scene.object_of)
 
 
-def _lone_file(given: _Given) -> Facts:
-    """Write a scene that has no field."""
-    return _file(given, _alone(given))
-
-
-def _field_file(given: _Given) -> Facts:
-    """Write a scene, and what its field knows."""
-    assert given.scene is not None
-    return _file(given, _with_field(given, given.scene))
-
-
-def _file(given: _Given, scene: LabelledScene) -> Facts:
-    from ...authoring.exporting.writing import written
-
-    done = written(given.output, scene, given.overwrite, given.content.spz_version)
-    return _facts(done, scene.query, scene.object_of)
-
-
-def _alone(given: _Given) -> LabelledScene:
-    from ...authoring.exporting.writing import labelled_alone, whole_motion
-    from ...formats.moving_scenes import read_scene
-
-    path, edits = given.named[0], given.content.edits or "kept"
-    read = read_scene(path)
-    _note_edits(given, path, read)
-    motion, time = whole_motion(given.output, read, given.time)
-    scene = labelled_alone(read, path, time=time, edits=edits)
-    return _finished(given, replace(scene, views=tuple(given.views), motion=motion))
-
-
-def _with_field(given: _Given, scene: Scene) -> LabelledScene:
-    from ...authoring.editing.resolving import label_rows, object_rows
-    from ...authoring.exporting.writing import Only, labelled, whole_motion
-
-    content, read = given.content, scene.motion or scene.gaussians
-    _note_edits(given, scene.path, read)
-    only: Only = "matches" if content.only else None
-    if content.object is not None:
-        only = object_rows(scene, content.object)
-    elif content.label is not None:
-        only = label_rows(scene, content.label)
-    motion, time = whole_motion(given.output, read, given.time)
-    carried = labelled(
-        scene, given.query, only=only, time=time, edits=content.edits or "kept", embeddings=content.embeddings,
-        photos=content.photos, words=given.words,
-    )  # fmt: skip
-    return _finished(given, replace(carried, motion=motion))
-
-
-def _note_edits(given: _Given, path: Path | None, read: Gaussians | Moving) -> None:
-    """Report the edits that --edits none leaves out."""
+def _labelled(options: Options, given: _Given) -> LabelledScene:
+    """Return the scene that is written, with what its field knows if it has one."""
     from ...authoring.editing import EditFile
+    from ...authoring.editing.resolving import label_rows, object_rows
+    from ...authoring.exporting.writing import Only, for_8_bits, labelled, labelled_alone, whole_motion
+    from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
 
-    if given.content.edits == "none" and path is not None:
-        note_left_out(EditFile.beside(path).num_done(canonical_of(read)))
-
-
-def _finished(given: _Given, scene: LabelledScene) -> LabelledScene:
-    from ...authoring.exporting.writing import for_8_bits
-
+    content, opened, path = options.content, given.opened, given.named[0]
+    read = read_scene(path) if opened is None else opened.motion or opened.gaussians
+    place, edits = path if opened is None else opened.path, content.edits or "kept"
+    if edits == "none" and place is not None:
+        note_left_out(EditFile.beside(place).num_done(canonical_of(read)))
+    motion, time = whole_motion(Path(options.output), read, options.time)
+    if opened is None:
+        scene = replace(labelled_alone(read, path, time=time, edits=edits), views=tuple(given.views))
+    else:
+        only: Only = "matches" if content.only else None
+        if content.object is not None:
+            only = object_rows(opened, content.object)
+        elif content.label is not None:
+            only = label_rows(opened, content.label)
+        scene = labelled(
+            opened, given.query, only=only, time=time, edits=edits, embeddings=content.embeddings,
+            photos=content.photos, words=given.words,
+        )  # fmt: skip
     note_applied(scene.num_edits)
-    return for_8_bits(scene) if given.content.fit_8bit else scene
+    scene = replace(scene, motion=motion)
+    return for_8_bits(scene) if content.fit_8bit else scene
 
 
 def _facts(done: Exported, query: str = "", owners: np.ndarray | None = None) -> Facts:
@@ -346,14 +291,5 @@ def _facts(done: Exported, query: str = "", owners: np.ndarray | None = None) ->
         "num_matches": done.num_matches if query else None,
         "num_annotations": done.num_annotations,
         "num_edits": done.num_edits,
-        "lacks": list(done.lacks),
+        "lacks": done.lacks,
     }
-
-
-KINDS = (
-    _Kind("masks", lambda options, _: options.masks, _masks),
-    _Kind("3D Tiles", lambda options, _: options.tiles3d, _tiles3d),
-    _Kind("levels of tiles", lambda _, given: given.tiles is not None, _streamed),
-    _Kind("scene without a field", lambda _, given: given.scene is None, _lone_file),
-    _Kind("scene with its field", lambda _, given: True, _field_file),
-)

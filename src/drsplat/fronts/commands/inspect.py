@@ -42,10 +42,10 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     path = Path(options.path)
-    kind = kind_of(path)
-    proof = verified(path) if options.verify else None
-    facts = _INSPECTORS[kind](options)
-    more = {} if proof is None else {"verified": proof.names, "checked": proof.checked}
+    kind, more = kind_of(path), {}
+    if options.verify:
+        more["verified"], more["checked"] = verified(path)
+    facts = _INSPECTORS[kind](place_of(path, kind), options.photos)
     return {"path": options.path, "kind": kind, **facts, **more}
 
 
@@ -64,13 +64,13 @@ def show(answer: Facts) -> None:
     show_facts(f"{answer['kind']}: {answer['path']}", facts)
 
 
-def _scene(options: Options) -> Facts:
+def _scene(path: Path, _: Photos) -> Facts:
     from ...authoring.editing import EditFile
     from ...formats.moving_scenes import read_scene
     from ...scene.eight_bits import clamped_in_bytes
     from ...scene.moving import Moving, canonical_of
 
-    given = read_scene(options.path)
+    given = read_scene(path)
     scene = canonical_of(given)
     of_time = {"num_times": len(given.times), "times": list(given.span)} if isinstance(given, Moving) else {}
     return {
@@ -86,9 +86,9 @@ def _scene(options: Options) -> Facts:
         "opacity": _percentiles(scene.opacities),
         "scale": _percentiles(scene.scales.max(1)),
         "extra_columns": sorted(scene.extra),
-        "num_kept_edits": EditFile.beside(options.path).num_done(scene),
-        **_levels(Path(options.path)),
-        **_named_objects(Path(options.path)),
+        "num_kept_edits": EditFile.beside(path).num_done(scene),
+        **_levels(path),
+        **_named_objects(path),
         "fingerprint": scene.fingerprint,
     }
 
@@ -118,11 +118,10 @@ def _named_objects(path: Path) -> Facts:
     return {"num_objects": len(names), "objects": [{"id": number, "name": name} for number, name in names]}
 
 
-def _capture(options: Options) -> Facts:
+def _capture(path: Path, photos: Photos) -> Facts:
     from ...scene.views import pictures_kind, scenes_rendered
 
-    views = options.photos.views(options.path)
-    lenses = sorted({"pinhole" if view.distortion is None else "distorted" for view in views})
+    views = photos.views(str(path))
     sources = [view.rendered_from for view in views]
     return {
         "num_views": len(views),
@@ -131,7 +130,7 @@ def _capture(options: Options) -> Facts:
         "num_photos": sum(view.image_path is not None for view in views),
         "num_masked": sum(view.mask_path is not None for view in views),
         "sizes": sorted({f"{view.width}x{view.height}" for view in views}),
-        "lenses": lenses,
+        "lenses": sorted({"pinhole" if view.distortion is None else "distorted" for view in views}),
         "focal_px": sorted({round(float(view.K[0, 0]), 2) for view in views}),
         "first": views[0].name,
         "last": views[-1].name,
@@ -146,17 +145,16 @@ def _capture(options: Options) -> Facts:
     }  # fmt: skip
 
 
-def _features(options: Options) -> Facts:
+def _features(path: Path, _: Photos) -> Facts:
     from ...formats.langsplat import read_features
     from ...photos.embedding.embed import recorded_renderings
     from ...scene.masks.masks import LEVELS
     from ...scene.views import pictures_kind
 
-    place = place_of(Path(options.path), "features")
-    folder = read_features(place)
-    by_level = {level: read_features(place, level=level) for level in LEVELS}
+    folder = read_features(path)
+    by_level = {level: read_features(path, level=level) for level in LEVELS}
     photos = [{"name": key, **{level: len(f[key].embeddings) for level, f in by_level.items()}} for key in folder]
-    rendered = recorded_renderings(place)
+    rendered = recorded_renderings(path)
     return {
         "num_photos": len(folder),
         "pictures": pictures_kind(rendered),
@@ -170,13 +168,12 @@ def _features(options: Options) -> Facts:
     }
 
 
-def _field(options: Options) -> Facts:
+def _field(path: Path, _: Photos) -> Facts:
     from ... import load_field
     from ...scene.views import pictures_kind, scenes_rendered
 
-    place = place_of(Path(options.path), "field")
-    field = load_field(place)
-    files = sorted(file for file in place.iterdir() if file.is_file())
+    field = load_field(path)
+    files = sorted(file for file in path.iterdir() if file.is_file())
     evidence = field.evidence
     return {
         "num_registered": len(field),
@@ -187,7 +184,7 @@ def _field(options: Options) -> Facts:
         **code_facts(field.code),
         "scene": field.scene,
         "aggregator": field.aggregator.name,
-        "left_out": list(field.left_out),
+        "left_out": field.left_out,
         "pictures": pictures_kind(field.rendered_from),
         "rendered_from": scenes_rendered(field.rendered_from),
         "num_views": None if evidence is None else len(evidence.masks.view_names),
@@ -195,16 +192,16 @@ def _field(options: Options) -> Facts:
         "num_masks": None if evidence is None else len(evidence.masks),
         "num_weights": None if evidence is None else len(evidence.entries.data),
         "num_objects": None if field.objects is None else len(field.objects),
-        "negatives": list(field.negatives.texts) if field.negatives else [],
+        "negatives": field.negatives.texts if field.negatives else [],
         "file_bytes": {file.name: file.stat().st_size for file in files},
         "fingerprint": field.fingerprint,
     }
 
 
-def _tiles(options: Options) -> Facts:
+def _tiles(path: Path, _: Photos) -> Facts:
     from ...formats.tiles import read_tiles
 
-    tiles = read_tiles(place_of(Path(options.path), "tiles"))
+    tiles = read_tiles(path)
     low, high = tiles.corners
     return {
         "num_gaussians": len(tiles),
@@ -214,15 +211,15 @@ def _tiles(options: Options) -> Facts:
         "origin": tiles.origin,
         "near": tiles.near,
         "antialiased": tiles.antialiased,
-        "sources": list(tiles.sources),
+        "sources": tiles.sources,
         "fingerprint": tiles.fingerprint,
     }
 
 
-def _catalogue(options: Options) -> Facts:
+def _catalogue(path: Path, _: Photos) -> Facts:
     from ...query.catalogue import Catalogue
 
-    catalogue = Catalogue.open(place_of(Path(options.path), "catalogue"))
+    catalogue = Catalogue.open(path)
     scenes = catalogue.scenes()
     return {
         "num_scenes": len(scenes),
@@ -234,34 +231,34 @@ def _catalogue(options: Options) -> Facts:
     }
 
 
-def _scene_folder(options: Options) -> Facts:
+def _scene_folder(path: Path, photos: Photos) -> Facts:
     """Describe the parts of a folder as `drsplat view` opens it: its field, scene and capture."""
     from ... import load_field
     from ...authoring.editing import EditFile
     from ...query.opening import find_scene, registered_scene
     from ...scene.moving import canonical_of
 
-    files = find_scene(options.path)
+    files = find_scene(path)
     field = load_field(files.field)
-    path, scene = registered_scene(files, field)
+    place, scene = registered_scene(files, field)
     return {
-        "field": str(files.field),
-        "scene": str(path),
-        "capture": None if files.capture is None else str(files.capture),
+        "field": files.field,
+        "scene": place,
+        "capture": files.capture,
         "num_gaussians": len(canonical_of(scene)),
         "num_registered": len(field),
-        "num_kept_edits": EditFile.beside(path).num_done(canonical_of(scene)),
+        "num_kept_edits": EditFile.beside(place).num_done(canonical_of(scene)),
         "encoder": field.encoder.name,
         "num_objects": None if field.objects is None else len(field.objects),
         "details": f"drsplat inspect {files.field}",
-        **({} if files.capture is None else _capture(options)),
+        **({} if files.capture is None else _capture(path, photos)),
     }
 
 
-def _tensors(options: Options) -> Facts:
+def _tensors(path: Path, _: Photos) -> Facts:
     from ...formats.tensors import map_tensors
 
-    tensors, metadata = map_tensors(options.path)
+    tensors, metadata = map_tensors(path)
     return {
         "format": metadata.get("format"),
         "arrays": {name: f"{array.dtype} {list(array.shape)}" for name, array in sorted(tensors.items())},
@@ -269,49 +266,49 @@ def _tensors(options: Options) -> Facts:
     }
 
 
-def _labels(options: Options) -> Facts:
+def _labels(path: Path, _: Photos) -> Facts:
     from ...field.labels import LabelFile
 
-    labels = LabelFile(Path(options.path)).read()
+    labels = LabelFile(path).read()
     return {"num_labels": len(labels), "names": [label.name for label in labels]}
 
 
-def _edits(options: Options) -> Facts:
+def _edits(path: Path, _: Photos) -> Facts:
     from ...authoring.editing.edits import edits_of
     from ...formats.json_files import read_json
 
-    listed = edits_of(read_json(Path(options.path)), options.path)
+    listed = edits_of(read_json(path), str(path))
     return {"scene": listed.scene, "num_edits": len(listed.edits), "num_done": listed.done}
 
 
-def _annotations(options: Options) -> Facts:
+def _annotations(path: Path, _: Photos) -> Facts:
     from ...formats.annotations import AnnotationFile
 
-    annotations = AnnotationFile(Path(options.path)).read()
+    annotations = AnnotationFile(path).read()
     return {"num_annotations": len(annotations), "texts": [annotation.text for annotation in annotations]}
 
 
-def _camera_path(options: Options) -> Facts:
+def _camera_path(path: Path, _: Photos) -> Facts:
     from ...authoring.filming.paths import read_path
 
-    path = read_path(options.path)
-    return {"num_key_frames": len(path.keys), "seconds": path.seconds, "fps": path.fps, "size": path.size}
+    way = read_path(path)
+    return {"num_key_frames": len(way.keys), "seconds": way.seconds, "fps": way.fps, "size": way.size}
 
 
-def _codebook(options: Options) -> Facts:
+def _codebook(path: Path, _: Photos) -> Facts:
     from ...field.codes.official import read_codebook
 
-    codebook = read_codebook(options.path)
+    codebook = read_codebook(path)
     return {"encoder": codebook.encoder.name, "dim": codebook.dim, **codebook_facts(codebook)}
 
 
-def _vocabulary(options: Options) -> Facts:
+def _vocabulary(path: Path, _: Photos) -> Facts:
     from ... import read_vocabulary
 
-    vocabulary = read_vocabulary(options.path)
+    vocabulary = read_vocabulary(path)
     return {
         "encoder": vocabulary.identity.name, "dim": vocabulary.identity.dim, "num_texts": len(vocabulary.texts),
-        "texts": list(vocabulary.texts),
+        "texts": vocabulary.texts,
     }  # fmt: skip
 
 
@@ -323,7 +320,7 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
     return {f"p{p}": float(v) for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
-_INSPECTORS: dict[str, Callable[[Options], Facts]] = {
+_INSPECTORS: dict[str, Callable[[Path, Photos], Facts]] = {
     "scene": _scene, "capture": _capture, "features": _features, "field": _field, "codebook": _codebook,
     "vocabulary": _vocabulary, "tiles": _tiles, "catalogue": _catalogue, "scene folder": _scene_folder,
     "tensors": _tensors, "labels": _labels, "edits": _edits, "annotations": _annotations, "camera path": _camera_path,

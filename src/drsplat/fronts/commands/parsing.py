@@ -4,15 +4,14 @@ import argparse
 import re
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from ...base.terminal import counted, quoted
 from ...errors import InputError
-from .configuring import Given, configuration, did_you_mean, options_of, place, uses_of
+from .configuring import Given, configuration, did_you_mean, name_of, options_of, place, uses_of
 
 MAX_SHORT_EXAMPLES = 3
-VERB_COLUMN = 14  # where the summaries of the verbs begin
 _NO_BREAK = "\xa0"
 _COMMAND = re.compile(r"^  drsplat .*(?:(?<=\\)\n.*)*", re.MULTILINE)
 
@@ -26,13 +25,6 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
 
     def _split_lines(self, text: str, width: int) -> list[str]:
         return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
-
-
-class VerbListFormatter(HelpFormatter):
-    """Formatter with a narrow left column, so that the summaries of the verbs have the room."""
-
-    def __init__(self, prog: str, width: int | None = None) -> None:
-        super().__init__(prog, max_help_position=VERB_COLUMN, width=width)
 
 
 def _block(lines: list[str], width: int, indent: str) -> list[str]:
@@ -66,9 +58,13 @@ class UsageError(Exception):
 
 
 class Parser(argparse.ArgumentParser):
-    """The parser of the whole line; `VerbParser` is that of a verb."""
+    """The parser of the whole line; `VerbParser` is that of a verb.
+
+    needed: actions that the line has to name, which argparse does not hear of while it parses.
+    """
 
     def __init__(self, **settings: Any) -> None:
+        self.needed: list[argparse.Action] = []
         super().__init__(**settings, add_help=False, allow_abbrev=False)
         self.add_argument("--help", "-h", action=_Help, help="print this help, and exit")
 
@@ -107,7 +103,6 @@ class VerbParser(Parser):
     def __init__(self, **settings: Any) -> None:
         self.given: list[Given] = []
         self.daily: Collection[str] = ()
-        self._needed: list[argparse.Action] = []
         super().__init__(**settings, formatter_class=HelpFormatter)
         self.add_argument("--help-all", action=_Help, help="print all options and examples, and exit")
 
@@ -116,27 +111,30 @@ class VerbParser(Parser):
         return [action for action in self._actions if action.option_strings]
 
     @property
-    def rivals(self) -> list[list[argparse.Action]]:
-        """Options of which only one can be given, group by group."""
-        return [group._group_actions for group in self._mutually_exclusive_groups]
-
-    @property
     def flags(self) -> dict[str, str]:
         """The long flag of each argument, or nothing for a positional one, by the name that the library has for it."""
-        named = ((action.dest, action.option_strings) for action in self._actions)
-        return {dest: next((flag for flag in flags if flag.startswith("--")), "") for dest, flags in named}
+        return {action.dest: f"--{name}" if (name := name_of(action)) else "" for action in self._actions}
+
+    def rivals(self, option: argparse.Action) -> list[argparse.Action]:
+        """Return the other options that cannot be given beside one."""
+        groups = [group._group_actions for group in self._mutually_exclusive_groups]
+        return [other for group in groups if option in group for other in group if other is not option]
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Parse the line; then the file of --config sets what the line leaves open."""
-        self.given, self._needed = [], [action for action in self._actions if action.required]
-        with _each_with(self._needed, required=False):
+        self.given, self.needed = [], [action for action in self._actions if action.required]
+        with _each_with(self.needed, required=False):
             namespace, rest = super().parse_known_args(args, namespace)
         if rest:
             self.error(self._left_over(rest))
         if namespace.config:
             self._apply_file(namespace.config, namespace)
         used = {option for option, _ in self.given}
-        missing = [_name(action) for action in self._needed if action not in used and action.nargs != "*"]
+        missing = [
+            "/".join(action.option_strings) or str(action.metavar or action.dest)
+            for action in self.needed
+            if action not in used and action.nargs != "*"
+        ]
         if missing:
             self.error(f"the following arguments are required: {', '.join(missing)}")
         return namespace, []
@@ -155,59 +153,34 @@ class VerbParser(Parser):
 
         Options that share a place, or exclude each other, count as given when one of them is.
         """
-        used = [use.option for use in self.given]
-        excluded = [option for group in self.rivals if {*used} & {*group} for option in group]
-        taken = {place(option) for option in (*used, *excluded)}
-        for key, use in uses_of(path, self.verb, options_of(self.options)):
-            if place(use.option) in taken:
+        taken = {place(option) for use in self.given for option in (use.option, *self.rivals(use.option))}
+        used: list[argparse.Action] = []
+        for key, (option, texts) in uses_of(path, self.verb, options_of(self.options)):
+            if place(option) in taken:
                 continue
-            self._check_rivals(use.option, path)
+            for other in self.rivals(option):
+                if other in used:
+                    raise InputError(f"{path}: {name_of(other)} and {key} exclude each other: leave one out")
+            used.append(option)
             try:
-                self.take(use.option, use.texts, namespace)
+                if self._match_argument(option, "A" * len(texts)) != len(texts):
+                    raise argparse.ArgumentError(option, f"expected one value, got {len(texts)}")
+                option(self, namespace, self._get_values(option, texts), option.option_strings[0])
             except argparse.ArgumentError as error:
                 raise InputError(f"{path}: {key}: {error.message}") from None
 
-    def _check_rivals(self, option: argparse.Action, path: str) -> None:
-        """Refuse an option if the file has set another that excludes it."""
-        used = [use.option for use in self.given]
-        for group in self.rivals:
-            for other in group:
-                if option in group and other is not option and other in used:
-                    names = f"{other.option_strings[0][2:]} and {option.option_strings[0][2:]}"
-                    raise InputError(f"{path}: {names} exclude each other: leave one out")
-
-    def take(self, option: argparse.Action, texts: list[str], namespace: argparse.Namespace) -> None:
-        """Set an option as if the line had given it with these texts. Raises: argparse.ArgumentError."""
-        if self._match_argument(option, "A" * len(texts)) != len(texts):
-            raise argparse.ArgumentError(option, f"expected one value, got {len(texts)}")
-        values = [self._get_value(option, text) for text in texts]
-        for value in values:
-            self._check_value(option, value)
-        single = option.nargs in (None, argparse.OPTIONAL)
-        value = (values[0] if values else option.const) if single else values
-        option(self, namespace, value, option.option_strings[0])
-        self.given.append(Given(option, texts))
-
     def short_help(self) -> str:
         hidden = [action for action in self.options if action.dest not in self.daily]
-        with _each_with(self._needed, required=True):  # also in the middle of parsing
-            usage = self.usage or self._short_usage()
-        epilog = "\n".join(["examples:", *_COMMAND.findall(self.epilog or "")[:MAX_SHORT_EXAMPLES]])
-        with _each_with(hidden, help=argparse.SUPPRESS), _swapped(self, epilog=epilog, usage=usage):
-            text = self.format_help()
-        more = counted(sum(not isinstance(action, _Help) for action in hidden), "more option")
-        return f"{text}\n{more}: {self.prog} --help-all\n"
-
-    def format_help(self) -> str:
-        with _each_with(self._needed, required=True):  # also in the middle of parsing
-            return super().format_help()
-
-    def _short_usage(self) -> str:
-        """Return the verb, what it cannot do without, and [options] for the rest."""
+        # the verb, what it cannot do without, and [options] for the rest
         formatter = self.formatter_class(prog=f"{self.prog} [options]")
         needed = [action for action in self._actions if action.required or not action.option_strings]
         formatter.add_usage(None, needed, [], prefix="usage: ")
-        return formatter.format_help().removeprefix("usage: ").strip()
+        usage = self.usage or formatter.format_help().removeprefix("usage: ").strip()
+        epilog = "\n".join(["examples:", *_COMMAND.findall(self.epilog or "")[:MAX_SHORT_EXAMPLES]])
+        with _each_with(hidden, help=argparse.SUPPRESS), _each_with([self], epilog=epilog, usage=usage):
+            text = self.format_help()
+        more = counted(sum(not isinstance(action, _Help) for action in hidden), "more option")
+        return f"{text}\n{more}: {self.prog} --help-all\n"
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
         if action.option_strings and "--" in arg_strings:  # which some versions of argparse drop
@@ -216,11 +189,6 @@ class VerbParser(Parser):
         if action.option_strings or arg_strings:
             self.given.append(Given(action, list(arg_strings)))
         return values
-
-    def _get_positional_kwargs(self, dest: str, **settings: Any) -> dict[str, Any]:
-        if not settings.get("choices"):  # which are their own names
-            settings.setdefault("metavar", dest.upper())
-        return super()._get_positional_kwargs(dest, **settings)
 
     def _left_over(self, rest: Sequence[str]) -> str:
         flag = next((text for text in rest if text.startswith("-") and text.strip("-")), None)
@@ -234,11 +202,9 @@ class VerbParser(Parser):
         if last is not None and last.option.type is words:
             sentence = " ".join([*last.texts, *rest])
             return f'unexpected {quoted(rest[0])}: several words need quotes: "{sentence}"'
-        return f"unexpected {quoted(rest[0])}: expected {self._expected()}"
-
-    def _expected(self) -> str:
-        names = [action.metavar or action.dest for action in self._actions if not action.option_strings]
-        return f"only {' '.join(map(str, names))}" if names else "no arguments but options"
+        names = [str(action.metavar or action.dest) for action in self._actions if not action.option_strings]
+        expected = f"only {' '.join(names)}" if names else "no arguments but options"
+        return f"unexpected {quoted(rest[0])}: expected {expected}"
 
 
 class _Help(argparse.Action):
@@ -249,29 +215,19 @@ class _Help(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         assert isinstance(parser, Parser)
-        print(parser.format_help() if "--help-all" in self.option_strings else parser.short_help(), end="")
+        with _each_with(parser.needed, required=True):  # this is in the middle of parsing
+            print(parser.format_help() if "--help-all" in self.option_strings else parser.short_help(), end="")
         parser.exit()
 
 
 @contextmanager
-def _swapped(thing: object, **values: object) -> Iterator[None]:
-    """Set attributes for the length of a block."""
-    before = {name: getattr(thing, name) for name in values}
-    vars(thing).update(values)
+def _each_with(things: Iterable[object], **values: object) -> Iterator[None]:
+    """Set attributes of several objects for the length of a block."""
+    before = [(vars(thing), vars(thing).copy()) for thing in things]
+    for now, _ in before:
+        now.update(values)
     try:
         yield
     finally:
-        vars(thing).update(before)
-
-
-@contextmanager
-def _each_with(actions: Iterable[argparse.Action], **values: object) -> Iterator[None]:
-    """Set attributes of several actions for the length of a block."""
-    with ExitStack() as stack:
-        for action in actions:
-            stack.enter_context(_swapped(action, **values))
-        yield
-
-
-def _name(action: argparse.Action) -> str:
-    return "/".join(action.option_strings) or str(action.metavar or action.dest)
+        for now, earlier in before:
+            now.update(earlier)

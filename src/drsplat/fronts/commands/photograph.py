@@ -79,7 +79,6 @@ def run(options: Options) -> Facts:
     from ...authoring.photographing.candidates import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
     from ...authoring.photographing.taking import photograph
     from ...base.progress import Stopwatch
-    from ...base.system import peak_memory_bytes
     from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
 
@@ -98,14 +97,7 @@ def run(options: Options) -> Facts:
         overwrite=options.overwrite, threads=options.threads, track=options.track,
     )  # fmt: skip
     watch.lap("photograph")
-    return {
-        "capture": options.output,
-        "pictures": "renderings",
-        **record,
-        "seconds": sum(watch.seconds.values()),
-        "stage_seconds": watch.seconds,
-        "peak_memory_bytes": peak_memory_bytes(),
-    }
+    return {"capture": options.output, "pictures": "renderings", **record, **watch.measures()}
 
 
 def _path(options: Options, scene: Gaussians) -> CameraPath | None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
 from ...errors import InputError
 
@@ -14,11 +14,17 @@ FORMAT_KINDS = {
     "drsplat annotations": "annotations",
     "drsplat-path": "camera path",
 }
-FOLDER_KINDS = {"field.json": "field", "tiles.json": "tiles", "lod-meta.json": "scene", "tileset.json": "scene"}
+FOLDER_KINDS = {
+    "field.json": "field",
+    "tiles.json": "tiles",
+    "catalogue.json": "catalogue",
+    "lod-meta.json": "scene",
+    "tileset.json": "scene",
+}
 MANIFEST_KINDS = {
     "field.json": "field",
     "tiles.json": "tiles",
-    "checksums.json": "catalogue",
+    "catalogue.json": "catalogue",
     "embedding.json": "features",
 }
 
@@ -30,6 +36,7 @@ def kind_of(path: Path) -> str:
     """
     from ...formats.langsplat import has_features
     from ...formats.moving_scenes import is_moving
+    from ...query.opening import find_scene
 
     if path.is_file():
         return _file_kind(path)
@@ -38,11 +45,10 @@ def kind_of(path: Path) -> str:
     for manifest, kind in FOLDER_KINDS.items():
         if (path / manifest).is_file():
             return kind
-    if (path / "objects.lance").is_dir():
-        return "catalogue"
     if (path / "meta.json").is_file() and _json_kind(path / "meta.json") == "scene":
         return "scene"
-    if _has_field(path):
+    with suppress(InputError):  # of a folder that `drsplat view` and `drsplat serve` would not take
+        find_scene(path)
         return "scene folder"
     if (path / "point_cloud").is_dir():
         return "scene"
@@ -57,38 +63,22 @@ def place_of(path: Path, kind: str) -> Path:
     return path.parent if path.is_file() and MANIFEST_KINDS.get(path.name) == kind else path
 
 
-def _has_field(path: Path) -> bool:
-    """Return whether `drsplat view` and `drsplat serve` would take the folder."""
-    from ...query.opening import find_scene
-
-    try:
-        find_scene(path)
-    except InputError:
-        return False
-    return True
-
-
 def _file_kind(path: Path) -> str:
     from ...formats.faiss_index import is_faiss
+    from ...formats.tensors import map_tensors
 
     if path.name in ("motion.safetensors", "lod-meta.json", "tileset.json"):
         return "scene"
     if path.suffix == ".safetensors":
-        return _tensors_kind(path)
+        tensors, metadata = map_tensors(path)
+        if metadata.get("format", "").startswith("drsplat codebook") or set(tensors) <= {"centroids", "coarse"}:
+            return "codebook"
+        return "vocabulary" if "embeddings" in tensors and "texts" in metadata else "tensors"
     if path.suffix == ".json":
         return MANIFEST_KINDS.get(path.name) or _json_kind(path)
     if path.suffix in (".bin", ".txt"):
         return "capture"
     return "codebook" if path.suffix == ".faiss" or is_faiss(path) else "scene"
-
-
-def _tensors_kind(path: Path) -> str:
-    from ...formats.tensors import map_tensors
-
-    tensors, metadata = map_tensors(path)
-    if metadata.get("format", "").startswith("drsplat codebook") or set(tensors) <= {"centroids", "coarse"}:
-        return "codebook"
-    return "vocabulary" if "embeddings" in tensors and "texts" in metadata else "tensors"
 
 
 def _json_kind(path: Path) -> str:
@@ -111,37 +101,34 @@ def _json_kind(path: Path) -> str:
     return "capture" if posed or path.name == "transforms.json" else "vocabulary"
 
 
-class Verified(NamedTuple):
-    """Names of the files that were compared with checksums, and a phrase on what was checked."""
-
-    names: list[str]
-    checked: str
+Verified = tuple[Sequence[str], str]
+"""Names of the files that were compared with checksums, and a phrase on what was checked."""
 
 
 def verified(path: Path) -> Verified:
     """Verify what is at `path`; return what was checked. Raises: DrSplatError: damage, with the name of the file."""
     kind = kind_of(path)
-    return _VERIFIERS[kind](place_of(path, kind))
+    verify = _VERIFIERS.get(kind)
+    return ((), UNPROVEN[kind]) if verify is None else verify(place_of(path, kind))
 
 
 def _field(path: Path) -> Verified:
     from ...field.loading import verify_field
 
     names = verify_field(path)
-    return Verified(names, "all files" if names else "read whole: fields of versions 1 and 2 have no checksums")
+    return names, "all files" if names else "read whole: fields of versions 1 and 2 have no checksums"
 
 
 def _tiles(path: Path) -> Verified:
     from ...formats.tiles import read_tiles
 
-    return Verified(read_tiles(path).verify(), "all files")
+    return read_tiles(path).verify(), "all files"
 
 
 def _catalogue(path: Path) -> Verified:
     from ...query.catalogue import Catalogue
 
-    names = Catalogue.open(path).verify()
-    return Verified(names, "all files" if names else "opened: it has no checksums before the next add or remove")
+    return Catalogue.open(path).verify(), "all files"
 
 
 def _scene(path: Path) -> Verified:
@@ -152,7 +139,7 @@ def _scene(path: Path) -> Verified:
     from ...training.model_folder import CHECKPOINT
 
     if path.name == MOTION or (path / MOTION).is_file():
-        return Verified(verify_motion(path.parent if path.name == MOTION else path), "all files")
+        return verify_motion(path.parent if path.name == MOTION else path), "all files"
     scene = read_scene(path)
     if isinstance(scene, Moving):
         for time in scene.times.tolist():
@@ -160,7 +147,7 @@ def _scene(path: Path) -> Verified:
     names = [CHECKPOINT] if (path / CHECKPOINT).is_file() else []
     for name in names:
         read_tensors(path / name)
-    return Verified(names, "read whole: files of Gaussians have no checksums")
+    return names, "read whole: files of Gaussians have no checksums"
 
 
 def _features(path: Path) -> Verified:
@@ -171,42 +158,19 @@ def _features(path: Path) -> Verified:
     for key in folder:
         folder.stored(key)
     compact = [f"{stem}{COMPACT}" for stem in stems(path, COMPACT)]  # with checksums of their own
-    return Verified(sorted({*names, *compact}), "all photos read whole; .npy files of masks have no checksums")
+    return sorted({*names, *compact}), "all photos read whole; .npy files of masks have no checksums"
 
 
 def _tensors(path: Path) -> Verified:
+    """Verify arrays; `inspect` reads a codebook or a vocabulary whole by itself."""
     from ...formats.tensors import TENSORS, map_tensors, read_tensors
 
+    if path.suffix != ".safetensors":
+        return (), "read whole: it has no checksum"
     if TENSORS not in map_tensors(path)[1]:
-        return Verified([], "its header was read: it has no checksums")
+        return (), "its header was read: it has no checksums"
     read_tensors(path)
-    return Verified([path.name], "all of it")
-
-
-def _codebook(path: Path) -> Verified:
-    from ...field.codes.official import read_codebook
-
-    read_codebook(path)
-    return _tensors_or_read(path)
-
-
-def _vocabulary(path: Path) -> Verified:
-    from ... import read_vocabulary
-
-    read_vocabulary(path)
-    return _tensors_or_read(path)
-
-
-def _tensors_or_read(path: Path) -> Verified:
-    return _tensors(path) if path.suffix == ".safetensors" else Verified([], "read whole: it has no checksum")
-
-
-def _capture(path: Path) -> Verified:
-    return Verified([], "poses and cameras were read, photos were not opened: captures have no checksums")
-
-
-def _document(path: Path) -> Verified:
-    return Verified([], "read whole: it has no checksum, as people may edit it")
+    return [path.name], "all of it"
 
 
 def _scene_folder(path: Path) -> Verified:
@@ -216,16 +180,18 @@ def _scene_folder(path: Path) -> Verified:
     files = find_scene(path)
     parts = [files.field, *(scene for scene in files.scenes if scene != path)]
     parts += [folder for folder in sorted(path.iterdir()) if folder.is_dir() and kind_of(folder) == "features"]
-    names, checked = list[str](), list[str]()
-    for part in parts:
-        result = _VERIFIERS[kind_of(part)](part)
-        names += [f"{part.name}/{name}" for name in result.names]
-        checked.append(f"{part.name}: {result.checked}")
-    return Verified(names, "; ".join(checked))
+    results = [(part.name, *verified(part)) for part in parts]
+    names = [f"{part}/{name}" for part, compared, _ in results for name in compared]
+    return names, "; ".join(f"{part}: {checked}" for part, _, checked in results)
 
 
 _VERIFIERS: dict[str, Callable[[Path], Verified]] = {
     "field": _field, "tiles": _tiles, "catalogue": _catalogue, "scene": _scene, "scene folder": _scene_folder,
-    "features": _features, "tensors": _tensors, "codebook": _codebook, "vocabulary": _vocabulary, "capture": _capture,
-    "labels": _document, "edits": _document, "annotations": _document, "camera path": _document,
+    "features": _features, "tensors": _tensors, "codebook": _tensors, "vocabulary": _tensors,
 }  # fmt: skip
+UNPROVEN = {
+    "capture": "poses and cameras were read, photos were not opened: captures have no checksums",
+    **dict.fromkeys(
+        ("labels", "edits", "annotations", "camera path"), "read whole: it has no checksum, as people may edit it"
+    ),
+}

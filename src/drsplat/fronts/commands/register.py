@@ -236,7 +236,7 @@ def _registration(
 
 
 def _read(options: Options, known: "LanguageField | None") -> "_Inputs":
-    from ... import read_features
+    from ...formats.langsplat import read_features
 
     scene, register = scene_of(options.scene, options.workers, options.parts, options.threads)
     views = options.photos.views(options.capture, options.invert_masks)
@@ -245,8 +245,10 @@ def _read(options: Options, known: "LanguageField | None") -> "_Inputs":
     codebook = _codebook(method)
     if known is not None and known.growth is not None:
         level = known.growth.provenance.level or DEFAULT_LEVEL
-    encoder = _encoder(options.features, method.encoder_name, codebook)
-    features = read_features(options.features, level=level, encoder=encoder)
+    encoder = _named_encoder(method.encoder_name, codebook)
+    features = read_features(options.features, level, encoder, codebook.encoder if codebook else None)
+    if features.record is not None:
+        features.record.whole()
     kept = [view for view in views if view.name not in out]
     return _Inputs(scene, register, kept, out, features, _code(method, codebook))
 
@@ -357,17 +359,9 @@ def _codebook(method: Method) -> "Codebook | None":
     return read_codebook(method.codebook, method.encoder_name)
 
 
-def _encoder(features: str, name: str | None, codebook: "Codebook | None") -> "EncoderIdentity | None":
-    from ... import EncoderIdentity, WordEncoder
-    from ...formats.langsplat import FeatureFolder
-    from ...photos.embedding.embed import recorded_encoder
+def _named_encoder(name: str | None, codebook: "Codebook | None") -> "EncoderIdentity | str | None":
+    """Return all that is known of the encoder of this name."""
+    from ... import WordEncoder
 
-    noted = recorded_encoder(features)
-    if name is None:
-        return noted or (codebook.encoder if codebook else None)
-    if name == WordEncoder.identity.name:
-        return WordEncoder.identity
-    if codebook is not None and codebook.encoder.name == name:
-        return codebook.encoder
-    dim = FeatureFolder(Path(features), 0).dim
-    return EncoderIdentity(name, dim)
+    known = [WordEncoder.identity] if codebook is None else [WordEncoder.identity, codebook.encoder]
+    return next((one for one in known if one.name == name), name)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ...base.terminal import counted
 from ...errors import DrSplatError, InputError
 from ...query.defaults import MAYBE
-from .configuring import OPTIONS_NOT_KEPT, Given, did_you_mean, place, table_keys
+from .configuring import OPTIONS_NOT_KEPT, Given, did_you_mean, name_of, place, tables_of
 from .declaring import Facts, made
 from .options import people_text, transients_text, verb_parser
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 SETTLED_OPTIONS = ("output", "output-dir", "overwrite", "json", "features", "scene", "views", "export", "ask", "masks")
 """Options that a scan settles itself, so that a file of --config may not."""
-OPTIONS_NOT_RECORDED = (*OPTIONS_NOT_KEPT, "threads", "json")
+OPTIONS_NOT_RECORDED = (*OPTIONS_NOT_KEPT, "threads", "json", "overwrite")
 STARTED, DONE = "started", "done"
 MAX_MATCHES_LISTED = 5  # of an answer
 _FACTS = (
@@ -58,15 +58,10 @@ def verb_line(
         options, uses = _parsed(verb, [*line, *(text for pair in more for text in pair), *common])
     ours = {text[2:] for text in line if text.startswith("--")} & set(SETTLED_OPTIONS)
     given: dict[str, Any] = {}
-    for use in uses:
-        flags = [flag[2:] for flag in use.option.option_strings if flag.startswith("--")]
-        if (
-            flags
-            and not ours & set(flags)
-            and place(use.option) not in OPTIONS_NOT_RECORDED
-            and use.option.dest != "overwrite"
-        ):
-            given.setdefault(flags[0], []).append(use.texts)
+    for option, texts in uses:
+        name = name_of(option)
+        if name and name not in ours and place(option) not in OPTIONS_NOT_RECORDED:
+            given.setdefault(name, []).append(texts)
     return VerbLine(options, given)
 
 
@@ -83,12 +78,15 @@ def check_tables(path: str, verbs: Sequence[str]) -> None:
 
     Raises: InputError.
     """
-    for verb, keys in table_keys(path).items():
-        meant = did_you_mean(verb, verbs)
-        if verb not in verbs and meant:
-            raise InputError(f"{path}: there is no verb {verb}{meant}")
+    for verb, table in tables_of(path).items():
+        if not isinstance(table, dict) or verb == "scan":
+            continue
+        if verb not in verbs:
+            if meant := did_you_mean(verb, verbs):
+                raise InputError(f"{path}: there is no verb {verb}{meant}")
+            continue
         others = {"views"} if verb == "embed" else set()  # there it is a number of photos, no path
-        settled = sorted(keys & set(SETTLED_OPTIONS) - others) if verb in verbs and verb != "scan" else []
+        settled = sorted(table.keys() & {*SETTLED_OPTIONS} - others)
         if settled:
             raise InputError(f"{path}: [{verb}] {settled[0]} is settled by drsplat scan: drop it")
 

@@ -70,11 +70,8 @@ def text_of(value: object) -> str:
 
 
 def size_text(num_bytes: int) -> str:
-    amount, units = float(num_bytes), iter(("B", "KB", "MB", "GB", "TB"))
-    unit = next(units)
-    while amount >= 1000 and unit != "TB":
-        amount, unit = amount / 1000, next(units)
-    return f"{amount:.0f} {unit}" if unit == "B" else f"{amount:.1f} {unit}"
+    power = min((len(str(num_bytes)) - 1) // 3, 4)
+    return f"{num_bytes / 1000**power:.{min(power, 1)}f} {('B', 'KB', 'MB', 'GB', 'TB')[power]}"
 
 
 def code_facts(code: Code) -> Facts:

@@ -34,7 +34,7 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...base.progress import Stopwatch
-    from ...base.system import folder_bytes, peak_memory_bytes
+    from ...base.system import folder_bytes
     from ...field.tiles.cutting import TILE_ROWS, cut
     from ...formats.sources import blocks_of
 
@@ -43,16 +43,15 @@ def run(options: Options) -> Facts:
     tiles = cut(blocks, output, options.rows or TILE_ROWS, overwrite=options.overwrite)
     watch.lap("cut")
     return {
-        "tiles": str(output),
+        "tiles": output,
         "num_gaussians": len(tiles),
         "num_tiles": len(tiles.tiles),
         "scene": tiles.fingerprint,
-        "sources": list(tiles.sources),
-        "origin": tiles.origin.tolist(),
+        "sources": tiles.sources,
+        "origin": tiles.origin,
         "near": tiles.near,
         "bytes": folder_bytes(output),
-        "seconds": sum(watch.seconds.values()),
-        "peak_memory_bytes": peak_memory_bytes(),
+        **watch.measures(),
     }
 
 

@@ -23,7 +23,7 @@ GROUPS = {
         "select": "select the Gaussians that match a query: by a threshold, given or automatic, or by a share",
         "segment": "label every Gaussian with the best of some classes, or with none of them",
         "when": "find when an object of a moving scene is on, in, next to, above, left or right of another",
-        "catalogue": "store the objects of many scenes in one table, and search them all at once",
+        "catalogue": "store the objects of many scenes in one folder, and search them all at once",
     },
     "look and change": {
         "view": "view and search a scene in the browser, or write it as a page that needs no server",

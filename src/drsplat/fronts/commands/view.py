@@ -182,15 +182,14 @@ def _service(options: Options, catalogue: Catalogue | None = None) -> Iterator[S
     Raises: InputError: nothing can listen there.
     """
     from ..viewing.live.service import Service, listening_socket
-    from ..viewing.live.shared import Shared, Shelf
+    from ..viewing.live.shared import Shared
     from ..viewing.saving import Saves
 
     def opened(path: Path) -> Scene:
         return _scene(replace(options, field=str(path), scene=None, views=None))
 
     saves = Saves(None if options.save_dir is None else Path(options.save_dir))
-    shelf = None if catalogue is None else Shelf(catalogue)
-    shared = Shared(saves, opened, options.max_gaussians or MAX_GAUSSIANS, shelf=shelf)
+    shared = Shared(saves, opened, options.max_gaussians or MAX_GAUSSIANS, catalogue=catalogue)
     with listening_socket(options.host, options.port) as listening:
         yield Service(shared, listening, options.host)
 

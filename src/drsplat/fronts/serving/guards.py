@@ -8,7 +8,7 @@ import json
 import time
 from collections.abc import Awaitable, Callable, MutableMapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from starlette.exceptions import HTTPException
 
@@ -73,8 +73,11 @@ class DoorKeeper:
     request may address, None for any: a page in a browser can give this machine another name.
     """
 
-    def __init__(self, app: App, key: str | None = None, hosts: Sequence[str] | None = None) -> None:
-        self.app, self.key, self.hosts = app, key, hosts
+    def __init__(
+        self, app: App, key: str | None = None, hosts: Sequence[str] | None = None, limits: Limits = Limits()
+    ) -> None:
+        self.app, self.key, self.hosts, self.limits = app, key, hosts, limits
+        self.large = 0  # bodies at once
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or not await self.turned_away(scope, Answer(send)):
@@ -83,18 +86,29 @@ class DoorKeeper:
     async def turned_away(self, scope: Message, answer: "Answer") -> bool:
         """Refuse a request that may not come in; return True if it was refused."""
         headers = dict(scope["headers"])
-        if not self._is_let_in(scope["path"], headers):
+        given = headers.get(b"x-api-key") or _bearer(headers.get(b"authorization", b""))
+        if not (self.key is None or scope["path"] in KEYLESS_PATHS or is_secret(given, self.key)):
             await answer.refuse(401, "unauthorised", "give the key: Authorization: Bearer KEY")
         elif self.hosts is not None and not is_addressed(headers.get(b"host", b"").decode("latin-1"), self.hosts):
-            known = f"expected one of: {', '.join(self.hosts or ())}"
-            await answer.refuse(400, "wrong host", known)
+            await answer.refuse(400, "wrong host", f"expected one of: {', '.join(self.hosts)}")
         return bool(answer.status)
 
-    def _is_let_in(self, path: str, headers: dict[bytes, bytes]) -> bool:
-        if self.key is None or path in KEYLESS_PATHS:
-            return True
-        given = headers.get(b"x-api-key") or _bearer(headers.get(b"authorization", b""))
-        return is_secret(given, self.key)
+    async def admit(self, scope: Message, receive: Receive, answer: "Answer", most: int) -> None:
+        """Answer a request whose body has `most` bytes at most, and refuse one that says that it has more."""
+        length = dict(scope["headers"]).get(b"content-length", b"0")
+        if not length.isdigit() or len(length) > 18:
+            return await answer.refuse(400, "malformed", "Content-Length: expected a number of bytes")
+        if int(length) > most:
+            return await answer.refuse(413, "too large", TooLargeError(most).detail)
+        body = Body(receive, self, most)
+        try:
+            await self.work(scope, body, answer)
+        finally:
+            self.large -= body.is_large
+
+    async def work(self, scope: Message, body: "Body", answer: "Answer") -> None:
+        """Have a request answered that was let in."""
+        await self.app(scope, body, answer)
 
 
 class Guard(DoorKeeper):
@@ -103,9 +117,8 @@ class Guard(DoorKeeper):
     def __init__(
         self, app: App, limits: Limits, metrics: Metrics, key: str | None = None, hosts: Sequence[str] | None = None
     ) -> None:
-        super().__init__(app, key, hosts)
-        self.limits, self.metrics = limits, metrics
-        self.large = 0  # bodies at once
+        super().__init__(app, key, hosts, limits)
+        self.metrics = metrics
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -120,16 +133,13 @@ class Guard(DoorKeeper):
         start = time.perf_counter()
         try:
             if not await self.turned_away(scope, answer):
-                await self._bounded(scope, receive, answer)
+                await self.admit(scope, receive, answer, self.limits.body_bytes)
         finally:
             route = getattr(scope.get("route"), "path", "none")
             self.metrics.answered(route, answer.status or 499, time.perf_counter() - start)
 
-    async def _bounded(self, scope: Message, receive: Receive, answer: "Answer") -> None:
-        most = self.limits.body_bytes
-        if await refused_length(scope, most, answer):
-            return
-        body = Body(receive, self, most)
+    async def work(self, scope: Message, body: "Body", answer: "Answer") -> None:
+        """Have it answered in the time that there is, and while its client is there."""
         watcher = asyncio.create_task(_cancel_if_gone(scope, body, asyncio.current_task()))
         try:
             async with asyncio.timeout(self.limits.seconds):
@@ -142,7 +152,6 @@ class Guard(DoorKeeper):
                 raise
         finally:
             watcher.cancel()
-            self.large -= body.is_large
 
 
 async def _cancel_if_gone(scope: Message, body: "Body", work: "asyncio.Task[None] | None") -> None:
@@ -153,16 +162,6 @@ async def _cancel_if_gone(scope: Message, body: "Body", work: "asyncio.Task[None
         pass
     if work is not None:
         work.cancel(GONE)
-
-
-async def refused_length(scope: Message, most: int, answer: "Answer") -> bool:
-    """Refuse a request that says that its body is too long, or says nothing sensible; returns whether it did."""
-    length = dict(scope["headers"]).get(b"content-length", b"0")
-    if not length.isdigit() or len(length) > 18:
-        await answer.refuse(400, "malformed", "Content-Length: expected a number of bytes")
-    elif int(length) > most:
-        await answer.refuse(413, "too large", TooLargeError(most).detail)
-    return bool(answer.status)
 
 
 class Answer:
@@ -180,11 +179,8 @@ class Answer:
         if self.status:  # too late: the connection is cut
             return
         body = json.dumps({"error": reason, "kind": kind}).encode()
-        headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
-        if status == 503:
-            headers.append((b"retry-after", b"1"))
-        if status == 401:
-            headers.append((b"www-authenticate", b"Bearer"))
+        more = {503: [(b"retry-after", b"1")], 401: [(b"www-authenticate", b"Bearer")]}.get(status, [])
+        headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode()), *more]
         await self({"type": "http.response.start", "status": status, "headers": headers})
         await self({"type": "http.response.body", "body": body})
 
@@ -195,19 +191,11 @@ def _bearer(header: bytes) -> bytes:
     return token.strip() if scheme.lower() == b"bearer" else b""
 
 
-@runtime_checkable
-class LargeBodies(Protocol):
-    """Counter of the large bodies that are received and answered at the same time."""
-
-    large: int
-    limits: Limits
-
-
 class Body:
     """Receive, of a body whose length was not told, or was a lie; and one of not too many large ones."""
 
-    def __init__(self, receive: Receive, counter: LargeBodies, most: int) -> None:
-        self.receive, self.counter, self.most, self.seen, self.is_large = receive, counter, most, 0, False
+    def __init__(self, receive: Receive, guard: DoorKeeper, most: int) -> None:
+        self.receive, self.guard, self.most, self.seen, self.is_large = receive, guard, most, 0, False
         self.complete = asyncio.Event()
 
     async def __call__(self) -> Message:
@@ -216,9 +204,9 @@ class Body:
         if self.seen > self.most:
             raise TooLargeError(self.most)
         if self.seen > LARGE_BODY_BYTES and not self.is_large:
-            if self.counter.large >= self.counter.limits.large_bodies:
-                raise HTTPException(503, f"{self.counter.large} large bodies are here: come again")
-            self.counter.large, self.is_large = self.counter.large + 1, True
+            if self.guard.large >= self.guard.limits.large_bodies:
+                raise HTTPException(503, f"{self.guard.large} large bodies are here: come again")
+            self.guard.large, self.is_large = self.guard.large + 1, True
         if not message.get("more_body"):
             self.complete.set()
         return message

@@ -288,7 +288,7 @@ def safe_reply_to(scene_folder: SceneFolder, place: Workplace, **question: Any) 
     """Return the reply to a question, see `reply_to`; a fault of ours becomes a 500, with its traceback on stderr."""
     try:
         return reply_to(scene_folder, place, **question)
-    except BaseException as error:  # panics of Rust, which LanceDB is made of, are no `Exception`
+    except BaseException as error:  # panics of Rust, as of safetensors, are no `Exception`
         _log.error("no answer to %s", f"{question!a:.300}", exc_info=error)
         return problem(500, BUG, "bug")
 

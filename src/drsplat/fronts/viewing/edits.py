@@ -1,7 +1,7 @@
 """The edits and annotations of a scene on show: beside its file, or in memory where it has none."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from ...authoring.editing import Edit, EditFile, EditList
 from ...authoring.editing.draft import OBJECT_ID
 from ...authoring.editing.edits import drafted, recorded
-from ...base.arrays import Embedding, Flags, Indices, RowIds, Vectors
+from ...base.arrays import Flags, Indices, RowIds, Vectors
 from ...formats.annotations import AnnotationFile, without
 from ...formats.scenes import read_gaussians
 from ...kernels import SplatArrays, splat_arrays
@@ -30,14 +30,6 @@ class _State:
     everything: Gaussians
     present: Flags
 
-    @classmethod
-    def of(cls, gaussians: Gaussians, listed: EditList, file: EditFile | None) -> "_State":
-        """Apply a list of edits to the scene. Raises: as `edited`."""
-        if not listed.active:
-            return cls(listed, gaussians, np.ones(len(gaussians), bool))
-        draft = drafted(gaussians, listed.active, _reader(file))
-        return cls(listed, draft.everything(), draft.present)
-
     @cached_property
     def colors(self) -> Vectors:
         return base_colors(self.everything)
@@ -47,18 +39,12 @@ class _State:
         return splat_arrays(self.everything)
 
 
-@dataclass(eq=False)
 class Notes:
-    """Annotations of a scene. notes: where they are kept, None for in memory only."""
+    """Annotations of a scene: beside its file, or in memory. Raises: FormatError: the file is damaged."""
 
-    notes: AnnotationFile | None
-    annotations: tuple[Annotation, ...]
-
-    @staticmethod
-    def beside(scene: Scene) -> tuple[AnnotationFile | None, tuple[Annotation, ...]]:
-        """Return the file of a scene's annotations, and what is in it. Raises: FormatError: it is damaged."""
-        notes = None if scene.path is None else AnnotationFile.beside(scene.path)
-        return notes, () if notes is None else notes.read()
+    def __init__(self, scene: Scene) -> None:
+        self.notes = None if scene.path is None else AnnotationFile.beside(scene.path)
+        self.annotations = () if self.notes is None else self.notes.read()
 
     def annotate(self, *annotations: Annotation) -> None:
         """Keep some more."""
@@ -69,34 +55,30 @@ class Notes:
         kept = without(self.annotations, number)
         self.annotations = kept if self.notes is None else self.notes.drop(number)
 
+    def take(self, other: "Notes") -> None:
+        """Take the edits of a copy, and what they make; annotations stay."""
+        vars(self).update(vars(other) | {"annotations": self.annotations})
 
-@dataclass(eq=False)
+
 class Edits(Notes):
-    """file: where edits are kept, None for in memory only."""
+    """Edits of a scene on show, and the scene after them, at the time that is shown.
 
-    gaussians: Gaussians
-    file: EditFile | None
-    _state: _State
-    _first: Gaussians
-    _standing: Gaussians
-    _drawn: tuple[_State, Shown] | None = field(default=None, init=False)
-    _rows: tuple[EditList, Shown] | None = field(default=None, init=False)
+    kept: whether they are those kept beside the scene's file; else none are done at first, and none are kept.
 
-    @classmethod
-    def of(cls, scene: Scene, kept: bool = True) -> "Edits":
-        """Make the state of a scene on show, with the edits that are kept beside its file.
+    Raises: FormatError, MismatchError: the files are damaged, or of another scene.
+    """
 
-        kept: false leaves these out and keeps none that are made here.
-
-        Raises: FormatError, MismatchError: their files are damaged, or of another scene.
-        """
-        gaussians = scene.gaussians
+    def __init__(self, scene: Scene, kept: bool = True) -> None:
+        super().__init__(scene)
+        self._first = self._standing = self.gaussians = scene.gaussians
         if scene.field.objects:
-            gaussians = replace(gaussians, extra={**gaussians.extra, OBJECT_ID: scene.object_ids()})
-        file = EditFile.beside(scene.path) if scene.path is not None and kept else None
-        listed = EditList(gaussians.fingerprint) if file is None else file.read(gaussians)
-        first = _State.of(gaussians, listed, file)
-        return cls(*cls.beside(scene), gaussians, file, first, scene.gaussians, scene.gaussians)
+            extra = {**self.gaussians.extra, OBJECT_ID: scene.object_ids()}
+            self.gaussians = replace(self.gaussians, extra=extra)
+        self.file = EditFile.beside(scene.path) if scene.path is not None and kept else None
+        listed = EditList(self.gaussians.fingerprint) if self.file is None else self.file.read(self.gaussians)
+        self._state = self._made(listed)
+        self._drawn: tuple[_State, Shown] | None = None
+        self._rows: tuple[EditList, Shown] | None = None
 
     @property
     def listed(self) -> EditList:
@@ -112,23 +94,27 @@ class Edits(Notes):
             self._standing = gaussians
             self._state = self._made(self.listed)
 
-    def take(self, other: "Edits") -> None:
-        """Take the list of a copy, and what it makes; annotations stay."""
-        self._standing, self._state, self._drawn, self._rows = other._standing, other._state, other._drawn, other._rows
-
     def _made(self, listed: EditList) -> _State:
-        return _State.of(self._now, listed, self.file)
+        """Apply a list of edits to the scene. Raises: as `drafted`."""
+        if not listed.active:
+            return _State(listed, self._now, np.ones(len(self.gaussians), bool))
+        draft = drafted(self._now, listed.active, self._other)
+        return _State(listed, draft.everything(), draft.present)
 
     @property
     def _now(self) -> Gaussians:
         """The scene's own rows before all edits, where they are now, with the objects of the field."""
         return replace(self._standing, extra=self.gaussians.extra)
 
+    def _other(self, path: str) -> Gaussians:
+        """Read a scene that an edit names; paths begin at the list's folder."""
+        return read_gaussians(path) if self.file is None else self.file.other(path)
+
     # --- changing ---
 
     def add(self, edit: Edit) -> None:
         """Do one more. Raises: InputError: it cannot be done."""
-        self._change(lambda listed: recorded(self._now, listed.with_edit(edit), _reader(self.file)))
+        self._change(lambda listed: recorded(self._now, listed.with_edit(edit), self._other))
 
     def undo(self, count: int = 1) -> None:
         """Undo the last edits. Raises: InputError: there is nothing to undo."""
@@ -146,17 +132,18 @@ class Edits(Notes):
 
     def _change(self, change: Callable[[EditList], EditList]) -> None:
         """Change the list of edits, and keep what `drsplat edit` has added to it meanwhile."""
-        made: list[_State] = []
+        state = self._state
 
         def tried(listed: EditList) -> EditList:
-            made.append(self._made(change(listed)))
-            return made[-1].listed
+            nonlocal state
+            state = self._made(change(listed))
+            return state.listed
 
         if self.file is None:
             tried(self.listed)
         else:
             self.file.change(self.gaussians, tried)
-        self._state = made[-1]
+        self._state = state
 
     # --- what it makes ---
 
@@ -166,18 +153,14 @@ class Edits(Notes):
         return self._state.present[: len(self.gaussians)]
 
     @property
-    def opacities(self) -> Embedding:
-        """Opacities of all rows, added ones behind the scene's own; 0 where removed."""
-        return self._state.everything.opacities
+    def everything(self) -> Gaussians:
+        """All rows, those that edits added behind the scene's own; the opacity of removed ones is 0."""
+        return self._state.everything
 
     @property
     def colors(self) -> Vectors:
-        """Colours of the scene's own rows, without what depends on the direction of view."""
-        return self._state.colors[: len(self.gaussians)]
-
-    @property
-    def added_colors(self) -> Vectors:
-        return self._state.colors[len(self.gaussians) :]
+        """Colours of all rows, without what depends on the direction of view."""
+        return self._state.colors
 
     @property
     def splats(self) -> SplatArrays:
@@ -187,32 +170,24 @@ class Edits(Notes):
     @property
     def standing(self) -> Gaussians:
         """The scene's own rows, where they are now."""
-        every = self._state.everything
-        return every.subset(np.arange(len(self.gaussians))) if len(every) > len(self.gaussians) else every
+        own = len(self.gaussians)
+        return self.everything.subset(np.arange(own)) if len(self.everything) > own else self.everything
 
     def part(self, ids: RowIds | None) -> tuple[Gaussians, Indices]:
         """Return some rows as they are now, or all that are there, and their numbers."""
         rows = np.flatnonzero(self._state.present) if ids is None else ids
-        every = self._state.everything
-        return every if len(rows) == len(every) else every.subset(rows), rows
+        return self.everything if len(rows) == len(self.everything) else self.everything.subset(rows), rows
 
     def shown(self, before: Shown, budget: int) -> Shown:
-        """Return what a browser draws of the edited scene, in the frame of what it drew before."""
+        """Return what a browser draws of the edited scene, in the frame of what it drew before.
+
+        The rows are the same ones at all times, so that it only moves them.
+        """
         if not self.is_edited and self._standing is self._first:
             return before
         if self._drawn is None or self._drawn[0] is not self._state:
-            self._drawn = (self._state, moved_shown(self._chosen(before, budget), self._state.everything))
+            if self.is_edited and (self._rows is None or self._rows[0] is not self.listed):
+                self._rows = self.listed, shown_of(self.everything, budget, before.frame)
+            rows = self._rows[1] if self.is_edited and self._rows else before
+            self._drawn = self._state, moved_shown(rows, self.everything)
         return self._drawn[1]
-
-    def _chosen(self, before: Shown, budget: int) -> Shown:
-        """Return the rows that a browser draws, the same ones at all times, so that it only moves them."""
-        if not self.is_edited:
-            return before
-        if self._rows is None or self._rows[0] is not self.listed:
-            self._rows = (self.listed, shown_of(self._state.everything, budget, before.frame))
-        return self._rows[1]
-
-
-def _reader(file: EditFile | None) -> Callable[[str], Gaussians]:
-    """Return what reads the scenes that edits name, whose paths begin at the list's folder."""
-    return read_gaussians if file is None else file.other

@@ -7,35 +7,25 @@ answers to some queries, as the documents that a running viewer would send (web/
 import base64
 import json
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from ...authoring.filming.looking import FOV_DEGREES
-from ...authoring.filming.paths import CameraPath
 from ...base.arrays import (
     Array,
-    Arrays,
     ArraysByName,
     ByteRows,
-    ByteValues,
     Doubles,
     Float16,
-    Numbers,
     OtherDoubles,
     OtherFlags,
     RowIds,
-    Shaped,
-    SmallIds,
-    UInt8,
     UInt16,
     Vector3,
-    Vectors,
 )
 from ...base.contents import AnyPath, Document
-from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
 from ...formats.spz_writing import spz_bytes
@@ -43,11 +33,10 @@ from ...query import Match
 from ...query.tracks import tracks
 from ...scene.gaussians import Gaussians, significance
 from ...scene.moving import Moving
-from . import painting
-from .client import page_html, printable
+from .client import page_html
 from .page_search import PageSearch
 from .session import Session
-from .shown import Frame, Shown, match_document, rounded
+from .shown import Shown
 
 MAX_TIMES, MIN_TIMES = 120, 8
 MAX_MOVED_PLACES = 1_000_000
@@ -65,7 +54,7 @@ class PageTimes:
     """Places of k of m shown Gaussians at t times; the others stand still.
 
     order: of the shown rows, with those that move first. places: low + step * number, in the browser's frame.
-    seconds: that it plays. num_known: times of the scene.
+    num_known: times of the scene.
     """
 
     times: Times
@@ -75,7 +64,6 @@ class PageTimes:
     step: Vector3
     covariances: Float16[Array, "n k 6"]
     opacities: ByteRows
-    seconds: float
     num_known: int
 
     @property
@@ -122,7 +110,7 @@ def _collected(session: Session, times: Times, order: RowIds, count: int, num_kn
     low, high = seen.min(0).astype(np.float64), seen.max(0).astype(np.float64)
     step = np.maximum((high - low) / STEPS_PER_AXIS, 1e-12)
     places = np.clip(np.round((centers - low) / step), 0, STEPS_PER_AXIS).astype(np.uint16)
-    return PageTimes(times, order, places, low, step, covariances, opacities, playing_seconds(num_known), num_known)
+    return PageTimes(times, order, places, low, step, covariances, opacities, num_known)
 
 
 def playing_seconds(num_times: int) -> float:
@@ -191,92 +179,72 @@ class _Standing:
         return self.session.edits.standing
 
 
-def arrays_of(times: PageTimes) -> Arrays:
-    """Return the arrays that a page unpacks: each time but the first as its difference, as much stays the same."""
-    turns = times.covariances.view(np.uint16)
-    return {"places": _steps(times.places), "turns": _steps(turns), "fades": _steps(times.opacities)}
-
-
-def _steps(numbers: Array) -> Array:
-    """Return differences along time, which begin again where they end."""
-    steps = numbers.copy()
-    steps[1:] -= numbers[:-1]
-    return steps.ravel()
-
-
-def header_of(times: PageTimes) -> dict[str, Any]:
+def clock_document(times: PageTimes) -> Document:
     return {
         "at": times.times.tolist(),
         "count": times.places.shape[1],
         "low": times.low.tolist(),
         "step": times.step.tolist(),
-        "seconds": times.seconds,
+        "seconds": playing_seconds(times.num_known),
     }
 
 
 MAX_GAUSSIANS = 200_000
 """Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""
-FILM_STEPS_PER_SECOND, FILM_S, MAX_FILM_S = 12, 8.0, 60.0
 TYPE_CODES = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
 
 
-@dataclass(frozen=True, eq=False)
-class PageAnswer:
-    """One query with its answer.
-
-    heat: per shown Gaussian in [0, 1]. owners: 0, or 1 for the first match. eyes: places in the world to see each match
-    from. boxes: of each match over time, as `page_times.boxes_of` has them. doubt: why not to rely on it, "" for none.
-    instead: words that have a match where this has none.
-    """
+class PageAnswer(NamedTuple):
+    """One query with its matches, as boxes where they are at first. document: what the client shows of it."""
 
     text: str
-    heat: Numbers
-    owners: ByteValues
     matches: Sequence[Match]
-    eyes: Sequence[Vector3]
-    boxes: Sequence[Sequence[Sequence[float] | None]] = ()
-    doubt: str = ""
-    instead: Sequence[str] = ()
+    document: Document
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
     """Content of a page.
 
-    gaussians: the shown rows, as the scene's own file would have them. eye, target, up: of the first look, in the
-    world. features: their colours, in [0, 1]. objects, annotations: as of `exporting`. object_numbers: per shown
-    Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene that moves. num_edits:
-    kept edits in it. plays: whether it flies along the path when it is opened. search: what answers words that are
-    not among `answers`, None where nobody embeds words.
+    header: what the client is told, but of times and search. rows: arrays with a number per shown Gaussian. gaussians:
+    the shown rows, as the scene's own file would have them. times: of a scene that moves. search: what answers words
+    that are not among `answers`, None where nobody embeds words. num_edits: kept edits in it.
     """
 
-    title: str
-    shown: Shown
+    header: Document
+    rows: ArraysByName
     gaussians: Gaussians
+    shown: Shown
     answers: Sequence[PageAnswer]
-    eye: Vector3
-    target: Vector3
-    up: Vector3
-    features: Vectors | None = None
-    objects: Sequence[Mapping[str, Any]] = ()
-    annotations: Sequence[Mapping[str, Any]] = ()
-    object_numbers: SmallIds | None = None
-    path: CameraPath | None = None
     times: PageTimes | None = None
-    num_edits: int = 0
-    plays: bool = False
     search: PageSearch | None = None
+    num_edits: int = 0
 
 
 def write_page(path: AnyPath, page: Page, *, overwrite: bool = False) -> None:
-    """Write the page. Raises: InputError: more Gaussians than `MAX_GAUSSIANS`; the file exists and not `overwrite`."""
-    if len(page.shown) > MAX_GAUSSIANS:
-        raise InputError(f"a page holds up to {MAX_GAUSSIANS:,} Gaussians, got {len(page.shown):,}: show fewer of them")
-    order = _order(page)
-    layout, blob = packed(_arrays(page, order))
-    header = json.dumps(_header(page) | {"arrays": layout}, default=sorted)  # of sets
+    """Write the page. Raises: InputError: the file exists and not `overwrite`."""
+    times, search, frame = page.times, page.search, page.shown.frame
+    # first the rows that move, then by falling significance: slow browsers draw the first ones while the camera moves
+    count = 0 if times is None else times.places.shape[1]
+    every = np.arange(len(page.shown)) if times is None else times.order
+    still = every[count:]
+    order = np.concatenate([every[:count], still[np.argsort(-significance(page.gaussians)[still], kind="stable")]])
+    rows = {**page.rows, **({} if search is None else search.rows)}
+    arrays = {name: array[order] for name, array in rows.items()}
+    if times is not None:  # each time but the first as its difference, as much stays the same
+        changes = {"places": times.places, "turns": times.covariances.view(np.uint16), "fades": times.opacities}
+        arrays |= {name: np.diff(one, axis=0, prepend=one[:1] * 0).ravel() for name, one in changes.items()}
+    layout, blob = packed(arrays if search is None else {**arrays, **search.tables})
+    header = page.header | {
+        "frame": {"center": (frame.center - page.gaussians.origin).tolist(), "scale": frame.scale},
+        "clock": None if times is None else clock_document(times),
+        "search": None if search is None else search.document,
+        "knows": "" if search is None else search.about,
+        "arrays": layout,
+    }
     scene = base64.b64encode(spz_bytes(page.gaussians.subset(order), degree=0)).decode()
-    text = page_html(page.title, header, scene, base64.b64encode(zlib.compress(blob, 6)).decode())
+    blob_text = base64.b64encode(zlib.compress(blob, 6)).decode()
+    text = page_html(page.header["title"], json.dumps(header, default=sorted), scene, blob_text)  # of sets
     with replacing(path, overwrite) as file:
         file.write(text.encode())
 
@@ -290,106 +258,3 @@ def packed(arrays: ArraysByName) -> tuple[list[tuple[str, str, int, int]], bytes
         parts.append(data + bytes(-len(data) % 4))
         offset += len(parts[-1])
     return layout, b"".join(parts)
-
-
-def _order(page: Page) -> RowIds:
-    """Return the order of rows in the file: those that move, then by falling significance.
-
-    A browser that is slow draws the first rows only while the camera moves.
-    """
-    weight = significance(page.gaussians)
-    if page.times is None:
-        return np.argsort(-weight, kind="stable")
-    count = page.times.places.shape[1]
-    still = page.times.order[count:]
-    return np.concatenate([page.times.order[:count], still[np.argsort(-weight[still], kind="stable")]])
-
-
-def _arrays(page: Page, order: RowIds) -> Arrays:
-    arrays: Arrays = {}
-    if page.features is not None:
-        arrays["features"] = as_bytes(page.features)
-    if page.object_numbers is not None:
-        arrays["objects"] = page.object_numbers
-    for number, answer in enumerate(page.answers):
-        arrays[f"heat{number}"], arrays[f"owner{number}"] = as_bytes(answer.heat), answer.owners
-    further: Arrays = {} if page.times is None else arrays_of(page.times)
-    if page.search is not None:
-        arrays, further = {**arrays, **page.search.rows}, {**further, **page.search.tables}
-    return {name: array[order] for name, array in arrays.items()} | further
-
-
-def _header(page: Page) -> Document:
-    frame = page.shown.frame
-    answers = ["answer", "heat map"] if _answers(page) else []
-    features = [] if page.features is None or not _answers(page) else ["features"]
-    # what the client offers: a page only answers what it was made with
-    never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
-    offered = {"ask": _answers(page), "objects": bool(page.objects), "film_formats": []}
-    moves = "" if page.times is None else page.times.summary
-    return {
-        "title": printable(page.title),
-        "about": " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.summary}".split()),
-        "eye": rounded(frame.shown(page.eye)),
-        "target": rounded(frame.shown(page.target)),
-        "up": page.up.tolist(),
-        "fov": FOV_DEGREES,
-        "frame": {"center": (frame.center - page.gaussians.origin).tolist(), "scale": frame.scale},
-        "heat": HEAT.tolist(),
-        "look": painting.LOOK,
-        "antialiased": page.shown.antialiased,
-        "words": [printable(answer.text) for answer in page.answers],
-        "modes": [*answers, "as it is", *features, *(["objects"] if page.objects else [])],
-        "can": (dict.fromkeys(never, False) | offered),
-        "objects": list(page.objects),
-        "photos": [],
-        "times": None,
-        "clock": None if page.times is None else header_of(page.times),
-        "film": None if page.path is None else film_document(frame, page.path, page.target),
-        "plays": page.plays,
-        "annotations": list(page.annotations),
-        "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
-        "search": None if page.search is None else page.search.document,
-        "knows": "" if page.search is None else page.search.about,
-    }
-
-
-def _answers(page: Page) -> bool:
-    return bool(page.answers) or page.search is not None
-
-
-def film_document(frame: Frame, path: CameraPath, target: Vector3) -> Document:
-    """Return places along a path, near enough to each other for straight lines, in the browser's frame.
-
-    Each looks at something as far off as `target`, in the world.
-    """
-    seconds = min(path.seconds or FILM_S, MAX_FILM_S)
-    shares = np.linspace(0, 1, max(2, round(seconds * FILM_STEPS_PER_SECOND)))
-    keys = path.at(shares)
-    ahead = [max(float(key.rotation[2] @ (target - key.eye)), 1 / frame.scale) for key in keys]
-    targets = [key.eye + far * key.rotation[2] for key, far in zip(keys, ahead, strict=True)]
-    return {
-        "seconds": seconds,
-        "eyes": [np.round(frame.shown(key.eye), 4).tolist() for key in keys],
-        "targets": [np.round(frame.shown(one), 4).tolist() for one in targets],
-        "fovs": [round(key.fov_degrees, 2) for key in keys],
-    }
-
-
-def _answer(frame: Frame, number: int, answer: PageAnswer) -> Document:
-    boxes = answer.boxes or [[] for _ in answer.matches]
-    matches = [
-        match_document(frame, match, eye) | {"boxes": box}
-        for match, eye, box in zip(answer.matches, answer.eyes, boxes, strict=True)
-    ]
-    text = printable(answer.text)
-    return {
-        "text": text, "summary": "", "doubt": answer.doubt, "accent": painting.accent(number), "matches": matches,
-        "num_matches": len(matches), "threshold": 0, "automatic": 0, "limits": [0, 1], "measure": "",
-        "threshold_rule": "", "exact": True, "instead": list(answer.instead),
-    }  # fmt: skip
-
-
-def as_bytes(values: Shaped[Array, "*any"]) -> UInt8[Array, "*any"]:
-    """Return numbers in [0, 1] as bytes."""
-    return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

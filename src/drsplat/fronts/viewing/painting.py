@@ -4,11 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...base.arrays import Flags, Ids, Numbers, UInt8, Vectors
+from ...base.arrays import Flags, Float32, Ids, UInt8, Vectors
 from ...drawing import heat
 from ...field import LanguageField
-
-Values = Numbers
 
 ACCENTS = (
     (255, 170, 30), (60, 150, 255), (255, 70, 150), (70, 210, 110), (180, 110, 255), (60, 215, 220), (255, 95, 60),
@@ -42,27 +40,23 @@ def highlighted(rgb: Vectors, owners: Ids, accents: Sequence[Sequence[int]]) -> 
 
     Of several queries, what was found has a share of its query's colour.
 
-    owners: the number of the query that found a Gaussian, -1 for none of them. Where nothing was found, nothing is
-    dimmed.
+    owners: the number of the query that found a Gaussian, -1 for none of them.
     """
-    found = owners >= 0
-    if not found.any():
-        return rgb
-    painted = dimmed(rgb)
-    palette = np.array(accents, np.float32).reshape(-1, 3) / 255
-    tint = 0.0 if len(palette) == 1 else TINT_SHARE
-    shade = (0.45 + 0.55 * (rgb[found] @ LUMA))[:, None]
-    painted[found] = (1 - tint) * rgb[found] + tint * palette[owners[found]] * shade
+    palette = np.array(accents, np.float32) / 255
+    return _shaded(rgb, owners, palette, 0.0 if len(palette) == 1 else TINT_SHARE, 0.45)
+
+
+def _shaded(rgb: Vectors, labels: Ids, palette: Float32[np.ndarray, "c 3"], tint: float, floor: float) -> Vectors:
+    """Give what has a label a share of its colour, shaded by the scene's own light from `floor` on; dim the rest."""
+    painted, found = dimmed(rgb), labels >= 0
+    shade = (floor + (1 - floor) * (rgb[found] @ LUMA))[:, None]
+    painted[found] = (1 - tint) * rgb[found] + tint * palette[labels[found]] * shade
     return np.clip(painted, 0, 1).astype(np.float32)
 
 
 def class_painted(rgb: Vectors, labels: Ids, palette: UInt8[np.ndarray, "c 3"]) -> Vectors:
     """Paint classes in their colours, shaded by the scene's own light; dimmed where there is none."""
-    painted = dimmed(rgb)
-    found = labels >= 0
-    shade = 0.5 + 0.5 * (rgb[found] @ LUMA)[:, None]
-    painted[found] = palette[labels[found]].astype(np.float32) / 255 * shade
-    return painted
+    return _shaded(rgb, labels, palette.astype(np.float32) / 255, 1.0, 0.5)
 
 
 def object_colors(count: int) -> Vectors:
@@ -76,12 +70,7 @@ def object_colors(count: int) -> Vectors:
 
 def object_painted(rgb: Vectors, labels: Ids, count: int) -> Vectors:
     """Return objects with a share of a colour of their own, as the client paints them; the rest dimmed."""
-    painted, found = dimmed(rgb), labels >= 0
-    shade = (0.35 + 0.65 * (rgb[found] @ LUMA))[:, None]
-    painted[found] = (1 - OBJECT_TINT_SHARE) * rgb[found] + OBJECT_TINT_SHARE * shade * object_colors(count)[
-        labels[found]
-    ]
-    return painted
+    return _shaded(rgb, labels, object_colors(count), OBJECT_TINT_SHARE, 0.35)
 
 
 def feature_colors(field: LanguageField, rgb: Vectors, registered: Flags, seed: int = 0) -> Vectors:

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from ...base.arrays import Ids, Int64, Numbers, RowIds, WholeNumbers
+from ...base.arrays import Ids, Int64, Numbers, RowIds, Shaped, WholeNumbers
 from ...base.terminal import counted
 from ...drawing.heat import heat_of
 from ...kernels.boxes import box_of
@@ -31,10 +32,16 @@ class Result:
     matches: list[Match]
     instead: Sequence[str] = ()
 
-    @property
+    @cached_property
     def gaussian_ids(self) -> RowIds:
         """Sorted ids of the Gaussians of all matches."""
         return joined([match.gaussian_ids for match in self.matches])
+
+    @cached_property
+    def heat(self) -> Numbers:
+        """How well each row of the field answers, as in `drawing.heat.heat_of`."""
+        values = self.answer.values
+        return heat_of(values, self.threshold) if len(values) else values
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -65,8 +72,9 @@ class Result:
         return f"{self.label}: {maybe}{matches}, {counted(len(self.gaussian_ids), 'Gaussian')}{more}"
 
 
-def result_of(scene: Scene, label: str, answer: Answer) -> Result:
-    matches = scene.locate(answer)
+def result_of(scene: Scene, label: str, answer: Answer, most: int | None = None) -> Result:
+    """Return an answer with its best matches, `most` or all; without any, with words that have one."""
+    matches = scene.locate(answer, top=most)
     instead = words_instead(scene, answer) if label and not matches else ()
     return Result(label, answer, answer.threshold, matches, instead)
 
@@ -96,20 +104,33 @@ def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> WholeNumbers:
     return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
 
 
-def heat(results: Sequence[Result], count: int) -> Numbers:
-    """Return per Gaussian how well it answers, as in `drawing.heat.heat_of`; of several queries the best."""
-    warmest = np.zeros(count, np.float32)
+def heat(results: Sequence[Result], count: int, rows: WholeNumbers | None = None) -> Numbers:
+    """Return per Gaussian of a scene of `count`, or of some rows of it, how well it answers; the best of all queries.
+
+    What has no feature is cold.
+    """
+    warmest = np.zeros(count if rows is None else len(rows), np.float32)
     for result in results:
-        field, own = result.answer.field, result.answer.values
-        if len(own):
-            warm = field.dense(heat_of(own, result.threshold), fill=0.0)
-            warmest = np.maximum(warmest, warm)
+        field = result.answer.field
+        if rows is None:
+            at, own = field.gaussian_ids, slice(None)
+        else:
+            found = field.rows_of(rows)
+            at = np.flatnonzero(found >= 0)
+            own = found[at]
+        warmest[at] = np.maximum(warmest[at], result.heat[own])
     return warmest
 
 
-def owners(results: Sequence[Result], count: int) -> Ids:
-    """Return per Gaussian the number of the query that it matches, of several the first; -1 for none."""
-    return _numbered([result.gaussian_ids for result in results], count)
+def owners(results: Sequence[Result], count: int, rows: WholeNumbers | None = None) -> Ids:
+    """Return per Gaussian of a scene of `count`, or of some rows of it, the query that it matches; -1 for none.
+
+    Of several queries it is the first.
+    """
+    parts = [result.gaussian_ids for result in results]
+    if rows is None:
+        return _numbered(parts, count)
+    return _numbered([np.flatnonzero(np.isin(rows, ids, assume_unique=True)) for ids in parts], len(rows))
 
 
 def match_ids(results: Sequence[Result], count: int) -> Ids:
@@ -119,13 +140,19 @@ def match_ids(results: Sequence[Result], count: int) -> Ids:
 
 def _numbered(parts: Sequence[Int64[np.ndarray, " _"]], count: int) -> Ids:
     numbers = np.full(count, -1, np.int32)
-    for number in range(len(parts) - 1, -1, -1):
-        numbers[parts[number]] = number
+    for number, ids in reversed(list(enumerate(parts))):
+        numbers[ids] = number
     return numbers
 
 
 def relevancy(results: Sequence[Result], count: int) -> Numbers:
     """Return per Gaussian the highest value of any query, in its own measure."""
-    if not results:
-        return np.zeros(count, np.float32)
-    return np.max([result.answer.dense for result in results], axis=0)
+    return np.max([result.answer.dense for result in results] or [np.zeros(count, np.float32)], axis=0)
+
+
+def taken(values: Shaped[np.ndarray, " n"], ids: Int64[np.ndarray, " m"], fill: int = 0) -> Shaped[np.ndarray, " m"]:
+    """Return values of the scene's rows for some rows, among them such as edits added, which have `fill`."""
+    own = ids < len(values)
+    found = np.full(len(ids), fill, values.dtype)
+    found[own] = values[ids[own]]
+    return found

@@ -15,7 +15,7 @@ from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
 from ...authoring.filming.looking import radius_of
-from ...base.arrays import Flags, Ids, OtherPixels, PlanePoints, RowIds, Shaped, Vector3, Vectors
+from ...base.arrays import Ids, OtherPixels, PlanePoints, RowIds, Shaped, Vector3, Vectors, WholeNumbers
 from ...base.terminal import counted
 from ...drawing.heat import class_colors, heat_colors
 from ...errors import InputError
@@ -23,6 +23,7 @@ from ...query import Query, Scene, Segmentation
 from ...query.defaults import OBJECT
 from ...query.nodes import Chosen, chosen_at, name_of
 from ...query.objects import answer_of, match_of, objects_of
+from ...query.seen import Seen
 from ...scene.gaussians import Gaussians
 from ...scene.moving import Span
 from ...scene.views import View
@@ -33,7 +34,7 @@ from .results import Result
 from .shown import Shown, shown_of
 
 MAX_QUERIES = 8  # at once: as many as there are colours
-BYTES_PER_VALUE = 16  # two numbers, and the row where it is selected
+BYTES_PER_VALUE = 20  # two numbers, its heat, and the row where it is selected
 
 
 class Mode(StrEnum):
@@ -78,12 +79,13 @@ class Session:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
 
     def __post_init__(self) -> None:
-        self._edits = Edits.of(self.scene, self.edits_kept)
+        self._edits = Edits(self.scene, self.edits_kept)
 
     @property
-    def edits(self) -> Edits:
-        """Those of the scene, done to it as it is at the time that is shown."""
-        self._edits.stand(self.here.gaussians)
+    def edits(self) -> Any:
+        """The `Edits` of the scene, done to it as it is at the time that is shown."""
+        if self.scene.tiles is None:
+            self._edits.stand(self.here.gaussians)
         return self._edits
 
     def copied(self) -> "Session":
@@ -220,16 +222,13 @@ class Session:
 
         outline: corners in pixels of the view. Raises: InputError: nothing is seen there.
         """
-        ids = self._inside(view, outline)
+        seen = self.seen(view)
+        ids = inside_outline(seen.splats, view, outline, threads=self.scene.threads)
+        ids = ids[ids < len(self.scene.gaussians)] if seen.rows is None else seen.rows[ids]  # added ones answer nothing
         if not len(ids):
             raise InputError("nothing is seen inside the outline: draw it around something")
         self.clicked = None
         return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
-
-    def _inside(self, view: View, outline: PlanePoints) -> RowIds:
-        splats = self.edits.splats if self.edits.is_edited else self.here.splats
-        ids = inside_outline(splats, view, outline, threads=self.scene.threads)
-        return ids[ids < len(self.scene.gaussians)]  # what edits added answers nothing
 
     # --- pointing ---
 
@@ -251,7 +250,7 @@ class Session:
     def _hit(self, ray: Ray) -> Hit | None:
         visible = np.zeros(len(self.scene.gaussians), bool)
         visible[self.scene.field.gaussian_ids] = True
-        return hit_by_ray(self.edits.standing, ray, visible & ~self.hidden)
+        return hit_by_ray(self.edits.standing, ray, visible & self.edits.present)
 
     # --- objects ---
 
@@ -289,17 +288,14 @@ class Session:
         self.scene.label(chosen.node, text)
         self._choose(chosen)
 
-    def name_of(self, node: int) -> str:
-        """Return its label, else its best word, else its number. Raises: InputError: no such node."""
-        return name_of(self.scene, node, known_words(self.scene, self.words))
-
     def _choose(self, chosen: Chosen | None) -> None:
         """Select a node; where there is none, what is like the place that was clicked."""
         was_everything = self.mode is Mode.OBJECTS
         if chosen is None:
             self.more_like_this()
         else:
-            name, answer = self.name_of(chosen.node), answer_of(self.scene.field, [chosen.node], OBJECT)
+            name = name_of(self.scene, chosen.node, known_words(self.scene, self.words))
+            answer = answer_of(self.scene.field, [chosen.node], OBJECT)
             match = match_of(self.scene.field, chosen.node)
             self._answered([Result(name, answer, answer.threshold, [match])])
             self.clicked = None if self.clicked is None else replace(self.clicked, match=match)
@@ -315,15 +311,10 @@ class Session:
     # --- changing what is there ---
 
     @property
-    def hidden(self) -> Flags:
-        """True for each Gaussian that edits have removed."""
-        return ~self.edits.present
-
-    @property
     def selection(self) -> RowIds:
-        """All that was found and is not hidden, ascending."""
+        """All that was found and is not removed, ascending."""
         ids = results.joined([result.gaussian_ids for result in self.results])
-        return ids[~self.hidden[ids]]
+        return ids[self.edits.present[ids]]
 
     def edit(self, change: Change) -> None:
         """Change the selection, with what hangs on to it. Raises: InputError: nothing is selected, or it cannot be."""
@@ -358,22 +349,24 @@ class Session:
     @property
     def colors(self) -> Vectors:
         """Colours of every Gaussian of the scene in the present mode, in [0, 1]."""
-        mode, count = self.mode, len(self.scene.gaussians)
+        return self.painted(self.edits.colors[: len(self.scene.gaussians)])
+
+    def painted(self, rgb: Vectors, rows: WholeNumbers | None = None) -> Vectors:
+        """Paint Gaussians, of some rows of the scene or all, in the present mode. rgb: their own colours."""
+        mode, found, count = self.mode, self.results, len(self.scene.rows)
         if mode is Mode.FEATURES:
             return self._feature_colors
         if mode is Mode.CLASSES and self.segmentation is not None:
-            palette = class_colors(len(self.segmentation.names))
-            return painting.class_painted(self.edits.colors, self.segmentation.labels, palette)
+            labels = self.segmentation.labels if rows is None else self.segmentation.labels[rows]
+            return painting.class_painted(rgb, labels, class_colors(len(self.segmentation.names)))
         if mode is Mode.OBJECTS and self.has_objects:
-            return painting.object_painted(self.edits.colors, self.object_ids, len(objects_of(self.scene.field)))
-        if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
-            heat = results.heat(self.results, count)
-            if mode is Mode.HEAT:
-                return heat_colors(heat)
-            accents = [painting.accent(number) for number in range(len(self.results))]
-            owners = results.owners(self.results, count)
-            return painting.highlighted(self.edits.colors, owners, accents)
-        return self.edits.colors
+            return painting.object_painted(rgb, self.objects_at(rows), len(objects_of(self.scene.field)))
+        if mode is Mode.HEAT and found:
+            return heat_colors(results.heat(found, count, rows))
+        if mode is Mode.ANSWER and any(len(result.gaussian_ids) for result in found):
+            accents = [painting.accent(number) for number in range(len(found))]
+            return painting.highlighted(rgb, results.owners(found, count, rows), accents)
+        return rgb
 
     @property
     def drawn(self) -> Shown:
@@ -383,25 +376,36 @@ class Session:
     @property
     def drawn_colors(self) -> Vectors:
         """`colors`, with what edits added in its own."""
-        return np.concatenate([self.colors, self.edits.added_colors])
+        return np.concatenate([self.colors, self.edits.colors[len(self.scene.gaussians) :]])
+
+    def seen(self, view: View) -> Seen:
+        """Return what a camera may see, as edited: all rows."""
+        splats = self.edits.splats if self.edits.is_edited else self.here.splats
+        return Seen(self.edits.everything, splats)
+
+    def seen_colors(self, seen: Seen) -> Vectors:
+        """Return the colours in the present mode of what a camera may see."""
+        return self.drawn_colors
 
     @property
     def _feature_colors(self) -> Vectors:
         if not self._features:
             registered = np.zeros(len(self.scene.gaussians), bool)
             registered[self.scene.field.gaussian_ids] = True
-            self._features.append(painting.feature_colors(self.scene.field, self.edits.colors, registered))
+            colors = self.edits.colors[: len(registered)]
+            self._features.append(painting.feature_colors(self.scene.field, colors, registered))
         return self._features[0]
 
-    @property
-    def object_ids(self) -> Ids:
-        """Per Gaussian of the scene its object's number, -1 for none; only of a field that has objects."""
-        return self._edits.gaussians.extra[OBJECT_ID]
+    def objects_at(self, rows: WholeNumbers | None = None) -> Ids:
+        """Return the object's number of some rows or all, -1 for none; only of a field that has objects."""
+        if rows is None:
+            return self._edits.gaussians.extra[OBJECT_ID]
+        own = self.scene.field.rows_of(rows)
+        return np.where(own < 0, np.int32(-1), objects_of(self.scene.field).thing_of(own))
 
     def of_drawn(self, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
         """Return values of the scene's rows for those that are drawn; 0 for what edits added."""
-        added = np.zeros(len(self.edits.opacities) - len(values), values.dtype)
-        return np.concatenate([values, added])[self.drawn.ids]
+        return results.taken(values, self.drawn.ids)
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, RowIds]:
         """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.

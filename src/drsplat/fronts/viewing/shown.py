@@ -1,18 +1,16 @@
 """Which Gaussians a browser is given, in which frame, from where they are first seen, and boxes in that frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Array, Float32, Float64, Matrix3, Numbers, Shaped, Vector3, Vectors, WholeNumbers
-from ...base.contents import Document
+from ...base.arrays import Array, Float32, Float64, Numbers, Shaped, UInt8, Vector3, Vectors, WholeNumbers
 from ...errors import InputError
-from ...query import Match, documents
+from ...query import documents
 from ...scene.gaussians import SH_C0, Gaussians, most_significant
 from ...scene.views import View
-from .client import printable
 
 RADIUS = (
     10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
@@ -78,29 +76,23 @@ def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> S
     ids = most_significant(gaussians, budget)
     part = gaussians if len(ids) == len(gaussians) else gaussians.subset(ids)
     frame = frame or frame_of(gaussians)
-    return Shown(
-        ids, _shown_centers(part, frame), _shown_covariances(part, frame), base_colors(part),
-        part.opacities, frame, len(gaussians) - len(ids), gaussians.antialiased,
-    )  # fmt: skip
-
-
-def _shown_centers(gaussians: Gaussians, frame: Frame) -> Vectors:
-    """Return the centres in a frame; what lies beyond float32 is put at its ends, where nobody looks."""
-    farthest = float(np.finfo(np.float32).max)
-    return np.asarray(np.clip(frame.shown(gaussians.positions), -farthest, farthest), np.float32)
+    return Shown(ids, *shown_part(part, frame), frame, len(gaussians) - len(ids), gaussians.antialiased)
 
 
 def shown_part(part: Gaussians, frame: Frame) -> tuple[Array, Array, Array, Array]:
-    """Return centres, covariances, colours and opacities of a part of a scene in a frame."""
-    return _shown_centers(part, frame), _shown_covariances(part, frame), base_colors(part), part.opacities
+    """Return centres, covariances, colours and opacities of a part of a scene in a frame.
+
+    Centres beyond float32 are put at its ends, where nobody looks.
+    """
+    farthest = float(np.finfo(np.float32).max)
+    centers = np.asarray(np.clip(frame.shown(part.positions), -farthest, farthest), np.float32)
+    return centers, _shown_covariances(part, frame), base_colors(part), part.opacities
 
 
 def moved_shown(shown: Shown, gaussians: Gaussians) -> Shown:
     """Return the same Gaussians, in the same frame, where a state of the scene has them."""
     part = gaussians if len(shown) == len(gaussians) else gaussians.subset(shown.ids)
-    centers = _shown_centers(part, shown.frame)
-    covariances = _shown_covariances(part, shown.frame)
-    return replace(shown, centers=centers, covariances=covariances, rgb=base_colors(part), opacities=part.opacities)
+    return Shown(shown.ids, *shown_part(part, shown.frame), shown.frame, shown.num_left_out, shown.antialiased)
 
 
 def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[Array, "m 6"]:
@@ -139,29 +131,12 @@ def first_look(views: Sequence[View], frame: Frame, up: Vector3) -> tuple[Vector
     return view.center, view.center + reach * ahead
 
 
-MAX_NAME_CHARACTERS = 60
 DECIMALS = 5  # a browser's unit is a twentieth of the scene
 
 
-def box_document(
-    frame: Frame, center: Vector3, axes: Matrix3,
-    extent: Vector3,
-) -> Document:  # fmt: skip
-    """Return an oriented box of the world in the browser's frame."""
-    return documents.box_document(frame.shown(center), axes, extent * frame.scale, DECIMALS)
-
-
-def match_document(frame: Frame, match: Match, eye: Vector3, name: str = "") -> Document:
-    """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
-    shown = replace(match, center=frame.shown(match.center), extent=match.extent * frame.scale)
-    document = documents.match_document(shown, DECIMALS)
-    del document["support"]  # many masks, which the client does not list
-    return document | {
-        "eye": rounded(frame.shown(eye)),
-        "size": size_text(match.extent),
-        "place": place_text(match.center),
-        "name": printable(name, MAX_NAME_CHARACTERS),
-    }
+def as_bytes(values: Shaped[Array, "*any"]) -> UInt8[Array, "*any"]:
+    """Return numbers in [0, 1] as bytes."""
+    return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def rounded(values: Shaped[Array, "*any"]) -> list[Any]:

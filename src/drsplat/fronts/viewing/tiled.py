@@ -8,19 +8,15 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ...authoring.editing import EditList
-from ...authoring.editing.edits import Change
-from ...base.arrays import Flags, Ids, Indices, Numbers, PlanePoints, RowIds, Vectors, WholeNumbers
-from ...drawing.heat import class_colors, heat_colors, heat_of
+from ...base.arrays import Indices, RowIds, Vectors
 from ...errors import InputError
 from ...formats.tiles import Tile, Tiles
 from ...query import Scene
-from ...query.objects import objects_of
 from ...query.seen import Seen
 from ...scene.gaussians import Gaussians, most_significant
 from ...scene.views import View
-from . import painting
 from .edits import Notes
-from .naming import REACH_DEVIATIONS, Hit, Met, Ray, blended, inside_outline, met_by_ray
+from .naming import REACH_DEVIATIONS, Hit, Met, Ray, blended, met_by_ray
 from .session import Mode, Session
 from .shown import RADIUS, Frame, Shown, base_colors
 
@@ -33,26 +29,21 @@ UNEDITED = (
 )
 
 
-@dataclass(eq=False)
+def _refused(*_: Any, **__: Any) -> NoReturn:
+    """Refuse what would change the scene. Raises: InputError: always."""
+    raise InputError(UNEDITED)
+
+
 class NoEdits(Notes):
     """The edits of a scene in tiles, none, and its annotations. Stands for `Edits`."""
 
-    listed: EditList
-    is_edited: bool = False
-    file: None = None
+    is_edited, file = False, None
+    add = undo = redo = part = _refused
 
-    @classmethod
-    def of(cls, scene: Scene) -> "NoEdits":
-        return cls(*cls.beside(scene), EditList(scene.rows.fingerprint))
-
-    def take(self, other: "NoEdits") -> None:
-        """Take the edits of a copy: there are none."""
-
-    def refuse(self, *_: Any) -> NoReturn:
-        """Refuse what would change the scene. Raises: InputError: always."""
-        raise InputError(UNEDITED)
-
-    add = undo = redo = part = refuse
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.listed = EditList(scene.rows.fingerprint)
+        self.present = np.broadcast_to(np.True_, len(scene.rows))
 
 
 @dataclass(eq=False, repr=False)
@@ -65,17 +56,13 @@ class TiledSession(Session):
     _coarse: dict[int, Indices] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._edits = NoEdits.of(self.scene)  # type: ignore[assignment]
+        self._edits = NoEdits(self.scene)  # type: ignore[assignment]
 
     @property
     def tiles(self) -> Tiles:
         tiles = self.scene.tiles
         assert tiles is not None
         return tiles
-
-    @property
-    def edits(self) -> Any:
-        return self._edits
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -108,25 +95,28 @@ class TiledSession(Session):
         """Return how many Gaussians the coarse part of a tile has."""
         return max(1, min(tile.num_rows, int(tile.num_rows * COARSE_SHARE * self.budget / len(self.tiles))))
 
-    def part(self, number: int) -> tuple[Gaussians, RowIds]:
-        """Return a part and its rows: 2 k is the coarse one of tile k, 2 k + 1 what that leaves out.
+    def part(self, number: int) -> Gaussians:
+        """Return a part: 2 k is the coarse one of tile k, 2 k + 1 what that leaves out.
 
         Raises: InputError: there is none. FormatError: the tile is damaged or missing.
         """
         tile = self.tile_of(number)
         whole = self.tiles.tile(tile)
-        if number // 2 not in self._coarse:
-            self._coarse[number // 2] = most_significant(whole, self.num_coarse(tile))
-        rows = self.rows_of(number) - tile.first
-        return whole.subset(rows), rows + tile.first
+        return whole.subset(self.rows_of(number, whole) - tile.first)
 
-    def rows_of(self, number: int) -> RowIds:
-        """Return the rows of a part; the tile is read where nobody has. Raises: as `part`."""
+    def rows_of(self, number: int, whole: Gaussians | None = None) -> RowIds:
+        """Return the rows of a part. whole: its tile; None: it is read where nobody has. Raises: as `part`."""
         tile = self.tile_of(number)
         if number // 2 not in self._coarse:
-            self._coarse[number // 2] = most_significant(self.tiles.shapes(tile), self.num_coarse(tile))
+            read = self.tiles.shapes(tile) if whole is None else whole
+            self._coarse[number // 2] = most_significant(read, self.num_coarse(tile))
         coarse = self._coarse[number // 2]
         return tile.first + (np.setdiff1d(np.arange(tile.num_rows), coarse) if number % 2 else coarse)
+
+    def num_rows_of(self, number: int) -> int:
+        """Return how many Gaussians a part has. Raises: InputError: there is none."""
+        tile = self.tile_of(number)
+        return tile.num_rows - self.num_coarse(tile) if number % 2 else self.num_coarse(tile)
 
     def tile_of(self, number: int) -> Tile:
         """Return the tile of a part. Raises: InputError: there is none."""
@@ -134,72 +124,13 @@ class TiledSession(Session):
             raise InputError(f"parts: expected numbers below {2 * len(self.tiles.tiles)}, got {number}")
         return self.tiles.tiles[number // 2]
 
-    # --- what rows answer ---
+    # --- what a camera sees ---
 
-    def heat_at(self, rows: WholeNumbers) -> Numbers:
-        """Return how well some rows answer, as `results.heat`."""
-        own = self.scene.field.rows_of(rows)
-        warmest = np.zeros(len(rows), np.float32)
-        for result in self.results:
-            warm = heat_of(result.answer.values[own[own >= 0]], result.threshold)
-            warmest[own >= 0] = np.maximum(warmest[own >= 0], warm)
-        return warmest
+    def seen(self, view: View) -> Seen:
+        return self.scene.seen(view)
 
-    def owners_at(self, rows: WholeNumbers) -> Ids:
-        """Return the query that each of some rows answers, as `results.owners`."""
-        owners = np.full(len(rows), -1, np.int32)
-        for number in range(len(self.results) - 1, -1, -1):
-            owners[np.isin(rows, self._found[number], assume_unique=True)] = number
-        return owners
-
-    @property
-    def _found(self) -> list[RowIds]:
-        """Rows of each query, made once for its results."""
-        known = self.__dict__.get("_rows_found")
-        if known is None or known[0] is not self.results:
-            known = self.__dict__["_rows_found"] = self.results, [result.gaussian_ids for result in self.results]
-        return known[1]
-
-    def objects_at(self, rows: WholeNumbers) -> Ids:
-        """Return the object of each of some rows, -1 for none."""
-        own = self.scene.field.rows_of(rows)
-        numbers = np.full(len(rows), -1, np.int32)
-        numbers[own >= 0] = objects_of(self.scene.field).thing_of(own[own >= 0])
-        return numbers
-
-    def colors_at(self, rgb: Vectors, rows: WholeNumbers) -> Vectors:
-        """Return the colours of some rows in the present mode, as `Session.colors`. rgb: their own."""
-        if self.mode is Mode.CLASSES and self.segmentation is not None:
-            palette = class_colors(len(self.segmentation.names))
-            return painting.class_painted(rgb, self.segmentation.labels[rows], palette)
-        if self.mode is Mode.OBJECTS and self.has_objects:
-            return painting.object_painted(rgb, self.objects_at(rows), len(objects_of(self.scene.field)))
-        if self.mode is Mode.HEAT and self.results:
-            return heat_colors(self.heat_at(rows))
-        if self.mode is Mode.ANSWER and any(len(found) for found in self._found):
-            accents = [painting.accent(number) for number in range(len(self.results))]
-            dimmed = painting.dimmed(rgb)
-            owners = self.owners_at(rows)
-            return painting.highlighted(rgb, owners, accents) if (owners >= 0).any() else dimmed
-        return rgb
-
-    def seen_with_colors(self, view: View) -> tuple[Seen, Vectors]:
-        """Return what a camera may see, in the colours of the present mode."""
-        seen = self.scene.seen(view)
-        assert seen.rows is not None
-        return seen, self.colors_at(base_colors(seen.gaussians), seen.rows)
-
-    # --- pointing ---
-
-    @property
-    def hidden(self) -> Flags:
-        """False for each Gaussian: nothing is removed."""
-        return np.broadcast_to(np.False_, len(self.scene.rows))
-
-    def _inside(self, view: View, outline: PlanePoints) -> RowIds:
-        seen = self.scene.seen(view)
-        assert seen.rows is not None
-        return seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)]
+    def seen_colors(self, seen: Seen) -> Vectors:
+        return self.painted(base_colors(seen.gaussians), seen.rows)
 
     def _hit(self, ray: Ray) -> Hit | None:
         """Return what a ray meets, read tile after tile until no light reaches the next one."""
@@ -231,16 +162,10 @@ class TiledSession(Session):
             if entered[number] <= left[number] and left[number] > 0:
                 yield float(entered[number]), self.tiles.tiles[number]
 
-    # --- what needs the whole ---
-
-    def edit(self, change: Change) -> NoReturn:
-        raise InputError(UNEDITED)
-
-    def edited(self, *, selected_only: bool = False) -> NoReturn:
-        raise InputError(UNEDITED)
-
     def standing(self, ids: RowIds) -> Gaussians:
         return self.scene.rows.shapes_of(ids)
+
+    edit = edited = _refused
 
 
 def session_of(scene: Scene, *given: Any, **named: Any) -> Session:

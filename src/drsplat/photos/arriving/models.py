@@ -1,14 +1,14 @@
 """The segmenter and encoder of photos that arrive: those that the scene's other photos were embedded with."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...errors import InputError, MismatchError
 from ...field import LanguageField
-from ...formats.embedding_record import last_settings
+from ...formats.embedding_record import read_record
 from ...formats.langsplat import has_features
 from ...scene.encoders import Encoder, ImageEncoder
 from ...scene.masks.masks import Segmenter
@@ -71,7 +71,7 @@ class ModelShelf:
 
 
 def load_models(
-    field: LanguageField, recorded: dict[str, Any] | None, names: ModelNames, load: Callable[[str, str], Encoder]
+    field: LanguageField, recorded: Mapping[str, Any] | None, names: ModelNames, load: Callable[[str, str], Encoder]
 ) -> PhotoModels:
     """Load the models of a scene. recorded: what made its features, or None. load: see `ModelShelf`.
 
@@ -95,15 +95,15 @@ def load_models(
     return models
 
 
-def _recorded(folder: Path) -> dict[str, Any] | None:
+def _recorded(folder: Path) -> Mapping[str, Any] | None:
     """Return what made the features of a folder; None where it has none.
 
     Raises: InputError: they were made by another program.
     """
-    settings = last_settings(folder)
-    if settings is None and folder.is_dir() and has_features(folder):
+    record = read_record(folder)
+    if record is None and folder.is_dir() and has_features(folder):
         raise InputError(f"nothing says which models made the features of this scene: {CURE}")
-    return settings
+    return None if record is None else record.settings
 
 
 def _encoder_name(field: LanguageField, names: ModelNames) -> str:
@@ -114,7 +114,7 @@ def _encoder_name(field: LanguageField, names: ModelNames) -> str:
     return names.encoder
 
 
-def _segmenter_name(recorded: dict[str, Any] | None, names: ModelNames) -> str:
+def _segmenter_name(recorded: Mapping[str, Any] | None, names: ModelNames) -> str:
     if names.segmenter is not None:
         return names.segmenter
     segmenter = {} if recorded is None else recorded.get("segmenter") or {}
@@ -123,7 +123,7 @@ def _segmenter_name(recorded: dict[str, Any] | None, names: ModelNames) -> str:
     return GraphSegmenter.name
 
 
-def _point_settings(recorded: dict[str, Any] | None) -> PointMaskSettings | None:
+def _point_settings(recorded: Mapping[str, Any] | None) -> PointMaskSettings | None:
     """Return the recorded settings of SAM; None where there are none."""
     settings = ((recorded or {}).get("segmenter") or {}).get("settings")
     if not isinstance(settings, dict):

@@ -18,14 +18,14 @@ import numpy as np
 
 from ...base.arrays import Embeddings, LevelMaskIds, Pixels
 from ...errors import DrSplatWarning, InputError
-from ...field.codes import Track, encoder_from_json, untracked
-from ...formats.embedding_record import FILE_NAME, EmbeddingRecord, Form, open_record, read_settings
+from ...field.codes import Track, untracked
+from ...formats.embedding_record import EmbeddingRecord, Form, open_record, read_record
 from ...formats.langsplat import FeatureFolder, stored_features, write_features
 from ...formats.photo_files import listed
 from ...formats.replacing import claimed_folder
 from ...formats.tensors import hash_file
-from ...formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
-from ...scene.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
+from ...formats.vocabulary import VocabularyEncoder, write_vocabulary
+from ...scene.encoders import Encoder, ImageEncoder, identity_json
 from ...scene.masks.masks import LEVELS, Masks, Segmenter, kept_masks
 from ...scene.masks.selection import mask_maps
 from ...scene.photo_masks import load_mask, views_with_something
@@ -152,9 +152,10 @@ def pictures_setting(views: Sequence[View]) -> dict[str, list[str]]:
 def recorded_renderings(folder: str | Path) -> list[str]:
     """Return the scenes that a folder's pictures were rendered from; none for photos, or if unknown.
 
-    Raises: as `recorded_encoder`.
+    Raises: FormatError: a damaged embedding.json. MismatchError: features of several settings are in it.
     """
-    scenes = (read_settings(Path(folder)) or {}).get("rendered_from", [])
+    record = read_record(Path(folder))
+    scenes = [] if record is None else record.whole().settings.get("rendered_from", [])
     return [str(scene) for scene in scenes] if isinstance(scenes, list) else []
 
 
@@ -171,29 +172,12 @@ def report_of(record: EmbeddingRecord, stems: Sequence[str], num_embedded: int, 
     return EmbeddingReport(len(stems), len(stems) - num_embedded, redone, masks, crops, empty_masks, record.changes)
 
 
-def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
-    """Read the words that queries are contrasted with, if `embed` left them. Raises: FormatError: a damaged file."""
-    path = Path(folder) / WORD_LIST
-    return read_vocabulary(path) if path.is_file() else None
-
-
 def _record_words(folder: Path, encoder: ImageEncoder) -> None:
     """Embed the word list while the model is loaded. Built-in encoders can be loaded at any time."""
     if not isinstance(encoder, Encoder) or hasattr(encoder, "nouns"):
         return
     names, vectors = known_words(encoder, broad_list())
     write_vocabulary(folder / WORD_LIST, VocabularyEncoder(encoder.identity, names, vectors), overwrite=True)
-
-
-def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
-    """Return the encoder of a folder that `embed` wrote; None for folders of other programs.
-
-    Raises: FormatError: a damaged embedding.json. MismatchError: features of several settings are in it.
-    """
-    settings = read_settings(Path(folder))
-    if settings is None:
-        return None
-    return encoder_from_json(settings.get("encoder"), f"{folder}/{FILE_NAME}")
 
 
 def photos_by_stem(views: Sequence[View]) -> dict[str, View]:

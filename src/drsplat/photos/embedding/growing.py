@@ -9,11 +9,12 @@ from ...field import LanguageField
 from ...field.codes import Track, untracked
 from ...field.growing import Change, add_views, change_field
 from ...field.growing.folder import parts_beside, remove_parts
+from ...formats.vocabulary import read_vocabulary
 from ...scene.gaussians import Gaussians
 from ...scene.masks.features import ViewFeatures
 from ...scene.moving import Moving, canonical_of
 from ...scene.views import View
-from .embed import recorded_words
+from .embed import WORD_LIST
 from .voting import vote_for_objects, votes_beside
 
 
@@ -54,7 +55,8 @@ def grow_field(
 
 def with_words(field: LanguageField, features: str | Path) -> LanguageField:
     """Add the words that queries are contrasted with, where `embed` left them in a folder of features."""
-    words = recorded_words(features)
+    path = Path(features) / WORD_LIST
+    words = read_vocabulary(path) if path.is_file() else None
     if words is None or not field.encoder.matches(words.identity):
         return field
     return field.with_contrast(words.embeddings, words.texts)

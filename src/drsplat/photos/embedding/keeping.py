@@ -9,7 +9,6 @@ from scipy.ndimage import find_objects
 
 from ...base.arrays import Embeddings, Float32, Int32, LevelMaskIds, OtherPixels, Pixels, WholeNumbers
 from ...errors import MismatchError
-from ...formats.embedding_record import read_settings
 from ...formats.langsplat import FeatureFolder
 from ...formats.tensors import hash_file
 from ...scene.encoders import EncoderIdentity, ImageEncoder
@@ -50,8 +49,7 @@ class ChosenMasks(FeatureFolder):
 
 def kept_identity(folder: FeatureFolder) -> dict[str, object]:
     """Return the segmenter of a folder's masks, as `embed` records it."""
-    settings = read_settings(folder.directory)
-    return {"kept": None if settings is None else settings.get("segmenter")}
+    return {"kept": None if folder.record is None else folder.record.whole().settings.get("segmenter")}
 
 
 def masks_hash(folder: FeatureFolder, stem: str) -> str:

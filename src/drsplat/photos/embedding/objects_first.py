@@ -23,7 +23,7 @@ from ...field.evidence.evidence import Evidence
 from ...field.objects.describing import node_weights, shown_in_photos
 from ...field.objects.finding import find_tree
 from ...field.registration import register
-from ...formats.embedding_record import Form, finished_photos, open_record
+from ...formats.embedding_record import Form, open_record, read_record
 from ...formats.langsplat import FeatureFolder, read_features
 from ...formats.replacing import claimed_folder
 from ...scene.encoders import ImageEncoder, identity_json
@@ -105,7 +105,8 @@ def embed_objects(
             for stem in pending:
                 finish_photo(record, stem, digest, masks.stored(stem)[0], rows[stem], form)
         finish_folder(record, encoder)
-    crops = sum(photo.masks.get("large", 0) for photo in finished_photos(parts / CROPS).values())
+    finished = read_record(parts / CROPS)
+    crops = sum(photo.masks.get("large", 0) for photo in finished.finished.values()) if finished else 0
     return replace(report_of(record, list(by_stem), len(pending), redone), crops=crops)
 
 

@@ -1,7 +1,4 @@
-"""Entries and answers of a catalogue.
-
-Conditions on the objects of a catalogue, as SQL, the language of LanceDB's filters.
-"""
+"""Entries and answers of a catalogue, and conditions on its objects."""
 
 import io
 from collections.abc import Sequence
@@ -11,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Matrix3, OtherPixels, Vector3
+from ...base.arrays import ArraysByName, Flags, Matrix3, OtherPixels, Vector3
 from ...base.contents import Document
 from ...errors import FormatError, InputError
 from ...formats.json_files import is_text
@@ -23,21 +20,11 @@ Corners = tuple[float, float, float, float, float, float]
 Degrees = tuple[float, float, float, float]
 
 
-def quoted(text: str) -> str:
-    """Quote a text for SQL; quotes within it are doubled."""
-    return "'" + text.replace("'", "''") + "'"
-
-
 def checked_name(name: str) -> str:
     """Return a scene's name after a check. Raises: InputError: empty, too long, or it cannot be written."""
     if not is_text(name) or not 1 <= len(name) <= MAX_NAME or "\0" in name:
         raise InputError(f"a scene's name: expected a text of 1 to {MAX_NAME} characters, got {name!a:.80}")
     return name
-
-
-def of_scene(name: str) -> str:
-    """Return the condition that a row is of this scene."""
-    return f"scene = {quoted(checked_name(name))}"
 
 
 @dataclass(frozen=True)
@@ -74,22 +61,21 @@ class Conditions:
         if self.since is not None:
             _in_utc(self.since)
 
-    @property
-    def sql(self) -> str:
-        """Conditions as SQL; "" for all objects."""
-        parts = []
-        if self.scenes:
-            parts.append(f"scene IN ({', '.join(quoted(name) for name in self.scenes)})")
+    def admit(self, scene: "SceneEntry") -> bool:
+        """Return whether objects of a scene may meet them."""
+        return (not self.scenes or scene.scene in self.scenes) and (self.since is None or scene.added >= self.since)
+
+    def hold(self, arrays: ArraysByName) -> Flags:
+        """Return which objects lie where they ask for. arrays: with the `centers` and `positions` of objects."""
+        inside = np.ones(len(arrays["centers"]), np.bool_)
         if self.box is not None:
-            parts += _between("xyz", self.box[:3], self.box[3:])
+            inside &= ((arrays["centers"] >= self.box[:3]) & (arrays["centers"] <= self.box[3:])).all(1)
         if self.area is not None:
-            west, south, east, north = self.area
-            parts += _between(("latitude",), (south,), (north,))
-            joined = " AND " if west <= east else " OR "
-            parts.append(f"({joined.join([f'longitude >= {west!r}', f'longitude <= {east!r}'])})")
-        if self.since is not None:
-            parts.append(f"added >= TIMESTAMP '{_in_utc(self.since).isoformat(' ', 'milliseconds')}'")
-        return " AND ".join(parts)
+            (west, south, east, north), (longitude, latitude, _) = self.area, arrays["positions"].T
+            sides = longitude >= west, longitude <= east
+            inside &= (latitude >= south) & (latitude <= north)
+            inside &= sides[0] & sides[1] if west <= east else sides[0] | sides[1]
+        return inside
 
 
 def _in_utc(moment: datetime) -> datetime:
@@ -102,11 +88,6 @@ def _in_utc(moment: datetime) -> datetime:
         raise InputError(
             f"since: expected a time of the years 1 to 9999 in UTC, as 2026-11-22T14:00Z, got {moment.isoformat()}"
         ) from None
-
-
-def _between(names: Sequence[str], low: Sequence[float], high: Sequence[float]) -> list[str]:
-    sides = zip(names, low, high, strict=True)
-    return [f"{name} >= {float(least)!r} AND {name} <= {float(most)!r}" for name, least, most in sides]
 
 
 def _rises(low: Sequence[float], high: Sequence[float]) -> bool:

@@ -1,21 +1,16 @@
-"""Objects of a scene as columns of the table.
-
-Picture of a catalogue's answer.
-"""
+"""Objects of a scene as arrays of a catalogue, and a picture of a catalogue's answer."""
 
 import io
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import datetime
-from typing import Any
+from datetime import UTC, datetime
 
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import OtherPixels
+from ...base.arrays import Arrays, Embeddings, OtherPixels
 from ...drawing.cards import Card, card_sheet
 from ...errors import InputError
-from ...field import LanguageField
 from ...field.codes import Track
 from ...formats.georeference import Georeference
 from ...formats.tiles import TILES, read_tiles
@@ -23,81 +18,95 @@ from .. import Match, Scene
 from ..objects import objects_of, support_of
 from ..sheets import object_picture, object_views
 from ..sketch import sketch_of
-from .entries import Entry, Position
+from .entries import Entry, SceneEntry
+from .snapshot import Record
 
 UNTILED = 0
 SIZE = (240, 180)
 MAX_BYTES = 16 << 10
 QUALITIES = (85, 70, 50, 30, 15)
-
-
-@dataclass(frozen=True, eq=False)
-class SceneRows:
-    """Rows of one scene. columns: by name, of one length; descriptors: of each row (k, D) float32.
-
-    pictured: number with a thumbnail.
-    """
-
-    columns: dict[str, list[Any]]
-    descriptors: list[np.ndarray]
-    pictured: int
-
-    def __len__(self) -> int:
-        """Return the number of objects; the last row is the scene's own."""
-        return len(self.descriptors) - 1
+LARGEST = 127  # of a descriptor's numbers, as it is stored
+Picture = tuple[bytes, str]
 
 
 def rows_of(
-    scene: Scene, name: str, folder: str, added: datetime, georeference: Georeference | None, track: Track
-) -> SceneRows:
-    """Return all objects of a scene, and the scene's own row, which has no object.
+    scene: Scene, name: str, folder: str, georeference: Georeference | None, track: Track
+) -> tuple[SceneEntry, Arrays]:
+    """Return what a catalogue keeps of a scene: its entry, and all of its objects as arrays (`snapshot.ROWS`).
 
     Raises: InputError: objects were not searched for. FormatError: damaged files.
     """
     objects, matches = objects_of(scene.field), scene.objects
     pictures = _pictures(scene, matches, track)
-    positions = _positions(matches, georeference)
-    words = scene.object_names()
-    rows = [
-        {"tile": tile} | _row(scene.field, match, position, word, picture)
-        for match, tile, position, word, picture in zip(
-            matches, _tiles(scene, matches), positions, words, pictures, strict=True
-        )
-    ]
-    common = {"scene": name, "field": scene.field.fingerprint, "added": added}
-    own = {"tile": UNTILED, "object_id": -1, "folder": folder, "sketch": sketch_of(scene).to_bytes()}
-    rows = [common | row for row in [*rows, own]]
-    descriptors = [objects.descriptors_of(node) for node in objects.things.tolist()]
-    descriptors.append(np.empty((0, scene.field.encoder.dim), np.float32))
-    columns = {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
-    return SceneRows(columns, descriptors, sum(picture[0] is not None for picture in pictures))
+    details = zip(matches, _tiles(scene, matches), scene.object_names(), pictures, strict=True)
+    records = [_record(scene, match, tile, word, picture) for match, tile, word, picture in details]
+    added = datetime.now(UTC).replace(microsecond=0)
+    entry = SceneEntry(
+        name, len(matches), int(scene.agreed.sum()), added, scene.field.fingerprint, folder, "current"
+    )  # fmt: skip
+    return entry, scene_arrays(
+        matches,
+        [objects.descriptors_of(node) for node in objects.things.tolist()],
+        scene.field.encoder.dim,
+        records,
+        [data for data, _ in pictures],
+        sketch_of(scene).to_bytes(),
+        georeference,
+    )
 
 
-def _row(
-    field: LanguageField, match: Match, position: Position | None, word: str | None, picture: tuple[bytes | None, str]
-) -> dict[str, Any]:
-    if match.object_id is None:
-        raise InputError("a catalogue keeps objects, and this match is none")
-    node = objects_of(field).thing(match.object_id)
-    photo, mask = _best_mask(field, node, picture[1])
-    x, y, z = match.center.tolist()
+def scene_arrays(
+    matches: Sequence[Match], descriptors: Sequence[Embeddings], dim: int, records: Sequence[Record],
+    thumbnails: Sequence[bytes], sketch: bytes, georeference: Georeference | None = None,
+) -> Arrays:  # fmt: skip
+    """Return the arrays of the objects of one scene. Raises: InputError: a descriptor without a direction."""
+    count, lines = len(matches), [json.dumps(record._asdict()).encode() for record in records]
+    centers = np.array([match.center for match in matches], np.float64).reshape(count, 3)
+    positions = np.full((count, 3), np.nan)
+    if georeference is not None and count:
+        positions = georeference.positions(centers)
     return {
-        "object_id": match.object_id,
-        "x": x,
-        "y": y,
-        "z": z,
-        "axes": match.axes.ravel().tolist(),
-        "extent": match.extent.tolist(),
-        **({} if position is None else position._asdict()),
-        "num_gaussians": len(match),
-        "num_views": int(objects_of(field).num_views[node]),
-        "sure": match.score,
-        "label": match.label,
-        "name": word,
-        "photo": photo,
-        "mask": mask,
-        "thumbnail": picture[0],
+        "centers": centers,
+        "positions": positions,
+        "extents": np.array([match.extent for match in matches], np.float32).reshape(count, 3),
+        "axes": np.array([match.axes for match in matches], np.float32).reshape(count, 3, 3),
+        "descriptors": _stored(np.concatenate([np.empty((0, dim), np.float32), *descriptors], dtype=np.float32)),
+        "descriptor_counts": _lengths(descriptors),
+        **_bytes("records", "record_bytes", lines),
+        **_bytes("thumbnails", "thumbnail_bytes", thumbnails),
+        **_bytes("sketches", "sketch_bytes", [sketch]),
     }
+
+
+def _bytes(name: str, lengths: str, parts: Sequence[bytes]) -> Arrays:
+    return {name: np.frombuffer(b"".join(parts), np.uint8), lengths: _lengths(parts)}
+
+
+def _lengths(parts: Sequence[bytes] | Sequence[Embeddings]) -> np.ndarray:
+    return np.array([len(part) for part in parts], np.uint32)
+
+
+def _stored(vectors: Embeddings) -> np.ndarray:
+    """Return directions in a byte for each number, the largest of a vector 127: their lengths need no room.
+
+    Raises: InputError: numbers that are not finite, or a vector without a direction.
+    """
+    largest = np.abs(vectors).max(1, initial=0, keepdims=True)
+    if not (np.isfinite(largest) & (largest > 0)).all():
+        raise InputError("descriptors: expected finite vectors, none of them zero")
+    return np.asarray(np.rint(vectors * (LARGEST / largest)), np.int8)
+
+
+def _record(scene: Scene, match: Match, tile: int, word: str | None, picture: Picture) -> Record:
+    assert match.object_id is not None
+    objects = objects_of(scene.field)
+    node, photo = objects.thing(match.object_id), picture[1]
+    masks = (mask for mask in support_of(scene.field, node) if photo in ("", mask.view_name))
+    best = next(masks, None)  # the photo's mask of the largest share; without a photo that of any
+    return Record(
+        tile, len(match), int(objects.num_views[node]), match.score, match.label, word,
+        (photo or None) if best is None else best.view_name, None if best is None else best.mask_id,
+    )  # fmt: skip
 
 
 def _tiles(scene: Scene, matches: Sequence[Match]) -> list[int]:
@@ -109,28 +118,13 @@ def _tiles(scene: Scene, matches: Sequence[Match]) -> list[int]:
     return [int(np.bincount(tiles).argmax()) for tiles in tiles_of_match]
 
 
-def _best_mask(field: LanguageField, node: int, photo: str) -> tuple[str | None, int | None]:
-    """Return a photo and the node's mask of the largest share in it; for photo "", the largest share anywhere."""
-    for mask in support_of(field, node):
-        if photo in ("", mask.view_name):
-            return mask.view_name, mask.mask_id
-    return photo or None, None
-
-
-def _pictures(scene: Scene, matches: Sequence[Match], track: Track) -> list[tuple[bytes | None, str]]:
+def _pictures(scene: Scene, matches: Sequence[Match], track: Track) -> list[Picture]:
     """Return the thumbnail and photo of each match; none without photos or Gaussians."""
     if not scene.has_gaussians or not scene.views:
-        return [(None, "")] * len(matches)
+        return [(b"", "")] * len(matches)
     views = object_views(scene, matches)
     pairs = track(list(zip(matches, views, strict=True)), "drawing objects")
     return [(thumbnail(object_picture(scene, match, view, SIZE)), view.name) for match, view in pairs]
-
-
-def _positions(matches: Sequence[Match], georeference: Georeference | None) -> list[Position | None]:
-    if georeference is None or not matches:
-        return [None] * len(matches)
-    positions = georeference.positions(np.stack([match.center for match in matches]))
-    return [Position(*row) for row in positions.tolist()]
 
 
 def thumbnail(pixels: OtherPixels) -> bytes:

@@ -1,227 +1,199 @@
-"""One version of a catalogue's table, to be read.
+"""Files of a catalogue, and one version of them to be read.
 
-Columns of a catalogue's table, rows of them, and descriptors in a byte for each number.
-
-LanceDB and Arrow, imported where a catalogue needs them, and their errors in our words.
+`catalogue.json` names the files of one version with their checksums; a change writes new files and replaces it. Each
+part has some scenes: a file with the rows of their objects, and, where there is an index, one with codes of their
+descriptors. docs/catalogue_layout.md has the arrays.
 """
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache, cached_property
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ...base.arrays import Array, Embedding, Embeddings, Indices, Int8, Numbers, OtherIndices
-from ...errors import DrSplatError, FormatError, InputError, MismatchError, MissingExtraError, pip_install
-from ...formats.json_files import as_fields, document_in
-from ...scene.encoders import EncoderIdentity, identity_json, identity_text
+from ...base.arrays import Array, Arrays, Embeddings, Indices, Int8, Numbers, OtherIndices
+from ...base.contents import open_file
+from ...errors import DrSplatError, FormatError, InputError, MismatchError
+from ...field.codes import Codebook, PQCode, load_codebook
+from ...formats.json_files import MAX_GAUSSIANS, as_document, as_kind, as_list, document_in, spans_of
+from ...formats.tensors import check_checksums, check_document, check_seal, check_tensors, header_checksum, map_tensors
+from ...scene.encoders import EncoderIdentity, identity_text
 from ..ranking import Described
-from .record import Fragment, fragments_of, manifest_of, read_record
+from .entries import Conditions, SceneEntry
 
-PANICS = ("PanicException", "RustPanic")  # of Rust, on unexpected contents
-INDEX_CACHE_BYTES, METADATA_CACHE_BYTES = 512 << 20, 256 << 20
-CURE = "the table is damaged: restore it from a copy, or remove the folder and add its scenes again"
-
-
-def libraries() -> tuple[Any, Any]:
-    """Import LanceDB and Arrow. Raises: MissingExtraError: they are not installed."""
-    try:
-        import lancedb
-        import pyarrow
-    except ImportError as error:
-        raise MissingExtraError(f"a catalogue needs LanceDB ({error}): {pip_install('catalogue')}") from error
-    return lancedb, pyarrow
-
-
-@cache
-def session() -> Any:
-    """Return the cache that all queries of this process share; without it each would read the index anew."""
-    lancedb, _ = libraries()
-    return lancedb.Session(INDEX_CACHE_BYTES, METADATA_CACHE_BYTES)
-
-
-@contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Turn errors of LanceDB into FormatErrors."""
-    with _lance_errors(path):
-        yield
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Turn errors of LanceDB into InputErrors: it could not write, and nothing has changed."""
-    try:
-        with _lance_errors(path):
-            yield
-    except FormatError as error:
-        raise InputError(f"{path}: nothing was changed: {error.__cause__!s:.300}") from error
-
-
-@contextmanager
-def _lance_errors(path: Path) -> Iterator[None]:
-    """Turn errors of LanceDB, Arrow and Rust into FormatErrors."""
-    try:
-        yield
-    except DrSplatError:
-        raise
-    except (ValueError, RuntimeError, OSError) as error:  # Arrow's are among these
-        raise FormatError(f"{path}: {CURE} ({type(error).__name__}: {error!s:.300})") from error
-    except BaseException as error:
-        if type(error).__name__ not in PANICS:
-            raise
-        raise FormatError(f"{path}: {CURE} ({error!s:.300})") from error
-
-
-KEY = b"drsplat catalogue"  # of the table's metadata
-VERSION = 4
+T = TypeVar("T")
+DOCUMENT, FORMAT, VERSION = "catalogue.json", "drsplat catalogue", 5
+FORMER = "objects.lance"  # of catalogues of version 4 and before
+SMALL_BYTES = 64 << 20  # arrays up to this size are compared with their checksums when they are opened
 MAX_DIM = 1 << 16
-LARGEST = 127  # of a descriptor's numbers, as it is stored
-AT_ONCE = 128  # descriptors that are compared while they are in a processor's cache
-HEAD = ("scene", "tile", "object_id")  # key of a row
-COMPARED = ("scene", "object_id", "descriptors")  # columns that a search reads of every object that it compares
+AGAIN = "remove the folder and add its scenes again"
+CURE = f"the catalogue is damaged: restore it from a copy, or {AGAIN}"
+CODES_CURE = "`drsplat catalogue index` makes these files anew"
+
+# Letters of axes: scenes, objects, coordinates, pieces (descriptors), numbers of these; bytes of records, of
+# thumbnails and of sketches
+ROWS = {
+    "centers": ("float64", "o c"), "positions": ("float64", "o c"), "extents": ("float32", "o c"),
+    "axes": ("float32", "o c c"), "descriptors": ("int8", "p d"), "descriptor_counts": ("uint32", "o"),
+    "records": ("uint8", "r"), "record_bytes": ("uint32", "o"), "thumbnails": ("uint8", "t"),
+    "thumbnail_bytes": ("uint32", "o"), "sketches": ("uint8", "k"), "sketch_bytes": ("uint32", "s"),
+}  # fmt: skip
+LENGTHS = {"p": "descriptor_counts", "r": "record_bytes", "t": "thumbnail_bytes", "k": "sketch_bytes"}
+CODES = {"grouped_codes": ("uint8", "g L k"), "inverse_norms": ("float32", "p")}
 
 
-def schema_of(encoder: EncoderIdentity) -> Any:
-    """Return the columns of a catalogue of one encoder."""
-    _, pa = libraries()
-    vectors = pa.list_(pa.list_(pa.int8(), encoder.dim))
-    # Compressed, a sketch would be a twentieth smaller, and read twice as slowly.
-    sketch = pa.field("sketch", pa.binary(), metadata={"lance-encoding:compression": "none"})
-    texts = dict.fromkeys(("label", "name", "photo", "folder"), pa.string())
-    places = dict.fromkeys(("x", "y", "z", "longitude", "latitude", "height"), pa.float64())
-    columns = {
-        "scene": pa.string(), "tile": pa.int32(), "object_id": pa.int32(), "field": pa.string(),
-        "added": pa.timestamp("ms", tz="UTC"), **places, "axes": pa.list_(pa.float32(), 9),
-        "extent": pa.list_(pa.float32(), 3), "num_gaussians": pa.int32(), "num_views": pa.int32(),
-        "sure": pa.float32(), "mask": pa.int32(), **texts, "descriptors": vectors, "thumbnail": pa.binary(),
-    }  # fmt: skip
-    about = {"version": VERSION, "encoder": identity_json(encoder)}
-    return pa.schema([*columns.items(), sketch], metadata={KEY: json.dumps(about)})
+@dataclass(frozen=True)
+class FileEntry:
+    """File of a version. crc32: of its header, which has the checksums of all arrays."""
+
+    name: str
+    crc32: str
 
 
-def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[Array], encoder: EncoderIdentity) -> Any:
-    """Return rows as an Arrow table; missing columns are null. descriptors: of each row (k, D), of any length.
+@dataclass(frozen=True)
+class PartEntry:
+    """Files of some scenes. codes: None without an index. without: scenes that were removed or replaced since."""
 
-    Raises: InputError: a descriptor without a direction.
-    """
-    _, pa = libraries()
-    schema = schema_of(encoder)
-    flat = _stored(np.concatenate([np.empty((0, encoder.dim), np.float32), *descriptors], dtype=np.float32))
-    starts = np.append(0, np.cumsum([len(rows) for rows in descriptors]))
-    vectors = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), encoder.dim)
-    arrays = {"descriptors": pa.ListArray.from_arrays(pa.array(starts, pa.int32()), vectors)}
-    nothing = [None] * len(descriptors)
-    for column in schema:
-        if column.name not in arrays:
-            arrays[column.name] = pa.array(columns.get(column.name, nothing), column.type)
-    return pa.table([arrays[name] for name in schema.names], schema=schema)
+    rows: FileEntry
+    codes: FileEntry | None = None
+    without: tuple[str, ...] = ()
 
 
-def _stored(vectors: Embeddings) -> Int8[Array, "n D"]:
-    """Return directions in a byte for each number, the largest of a vector 127: their lengths need no room.
+@dataclass(frozen=True)
+class Contents:
+    """Contents of `catalogue.json`. changes: so many so far. removed: scenes that were, and not added again."""
 
-    Raises: InputError: numbers that are not finite, or a vector without a direction.
-    """
-    largest = np.abs(vectors).max(1, initial=0, keepdims=True)
-    if not (np.isfinite(largest) & (largest > 0)).all():
-        raise InputError("descriptors: expected finite vectors, none of them zero")
-    return np.asarray(np.rint(vectors * (LARGEST / largest)), np.int8)
+    encoder: EncoderIdentity
+    parts: tuple[PartEntry, ...] = ()
+    codebook: FileEntry | None = None
+    removed: tuple[str, ...] = ()
+    changes: int = 0
 
-
-def described_of(column: Any, path: Path) -> Described:
-    """Return the descriptors of each row, brought back to unit length. Raises: FormatError: some have no direction."""
-    numbers, starts = _numbers_of(column, path)
-    vectors = numbers.astype(np.float32)
-    return Described(vectors / _lengths(vectors, path)[:, None], starts)
-
-
-def cosines_of(column: Any, vector: Embedding, path: Path) -> Numbers:
-    """Return the highest cosine of a unit vector with a descriptor of each row, -inf for rows without any.
-
-    Raises: FormatError: some have no direction.
-    """
-    numbers, starts = _numbers_of(column, path)
-    cosines = np.empty(len(numbers), np.float32)
-    for begin in range(0, len(numbers), AT_ONCE):
-        run = slice(begin, begin + AT_ONCE)
-        vectors = numbers[run].astype(np.float32)
-        cosines[run] = np.einsum("pd,d->p", vectors, vector) / _lengths(vectors, path)
-    best = np.full(len(starts) - 1, -np.inf, np.float32)
-    (shown,) = np.nonzero(np.diff(starts))
-    if len(shown):
-        best[shown] = np.maximum.reduceat(cosines, starts[shown])
-    return best
+    @property
+    def files(self) -> list[FileEntry]:
+        """All files of the version."""
+        pairs = [file for part in self.parts for file in (part.rows, part.codes)]
+        return [file for file in (self.codebook, *pairs) if file is not None]
 
 
-def _numbers_of(column: Any, path: Path) -> tuple[Int8[Array, "P D"], Indices]:
-    """Return the descriptors as they are stored; row i has those from starts[i] to starts[i + 1]."""
-    _, pa = libraries()
-    lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-    lengths = np.asarray(lists.value_lengths().fill_null(0), np.int64)
-    vectors = lists.flatten()
-    numbers = np.asarray(vectors.flatten(), np.int8).reshape(-1, vectors.type.list_size)
-    if len(numbers) != lengths.sum():
-        raise _without_direction(path)
-    return numbers, np.append(0, np.cumsum(lengths))
+class Record(NamedTuple):
+    """Facts of an object that are shown and never searched; see `Entry`."""
+
+    tile: int
+    num_gaussians: int
+    num_views: int
+    sure: float
+    label: str | None
+    name: str | None
+    photo: str | None
+    mask: int | None
 
 
-def _lengths(vectors: Embeddings, path: Path) -> Numbers:
-    lengths = np.sqrt(np.einsum("pd,pd->p", vectors, vectors))
-    if not (lengths > 0).all():
-        raise _without_direction(path)
-    return np.asarray(lengths)
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Objects of some scenes, scene by scene. starts: per axis of `ROWS` where each scene or object begins."""
+
+    where: str
+    scenes: Sequence[SceneEntry]
+    arrays: Arrays
+    starts: Mapping[str, OtherIndices]
+
+    @classmethod
+    def read(cls, path: Path, file: FileEntry, dim: int) -> "Part":
+        """Read a file of rows. Raises: FormatError: damaged, or arrays that do not fit each other."""
+        where = str(path / file.name)
+        try:
+            arrays, about = read_arrays(path / file.name, file, ROWS)
+            listed = as_list(document_in(about.get("scenes", ""), where), where)
+            scenes: list[SceneEntry] = [as_kind(scene, _scene_entry, where) for scene in listed]
+            lengths = {axis: arrays[name] for axis, name in LENGTHS.items()}
+            lengths["o"] = np.array([scene.num_objects for scene in scenes], np.int64)
+            starts = {axis: np.append(0, np.cumsum(counts, dtype=np.int64)) for axis, counts in lengths.items()}
+            fits = all(len(arrays[name]) == starts.get(axis[0], [len(scenes)])[-1] for name, (_, axis) in ROWS.items())
+            if not fits or arrays["descriptors"].shape[1] != dim:
+                raise FormatError(f"{where}: expected the objects of {len(scenes)} scenes, of {dim} dimensions")
+            if arrays["centers"].shape[1] != 3:
+                raise FormatError(f"{where}: centers: expected three coordinates")
+        except (FormatError, InputError) as error:
+            raise FormatError(f"{error}: {CURE}") from error
+        return cls(where, scenes, arrays, starts)
+
+    def __len__(self) -> int:
+        return len(self.arrays["centers"])
+
+    def scene(self, number: int) -> Arrays:
+        """Return all arrays of one scene."""
+        begin, end = self.starts["o"][number : number + 2].tolist()
+        bounds = {"o": (begin, end), "s": (number, number + 1), "k": self.starts["k"][number : number + 2]}
+        bounds |= {axis: self.starts[axis][[begin, end]] for axis in "prt"}
+        return {name: self.arrays[name][slice(*bounds[axis[0]])] for name, (_, axis) in ROWS.items()}
+
+    def row(self, scene: int, object_id: int) -> int | None:
+        """Return the row of an object, None where the scene has none of that number."""
+        begin, end = self.starts["o"][scene : scene + 2].tolist()
+        return begin + object_id if 0 <= object_id < end - begin else None
+
+    def bytes_of(self, name: str, number: int) -> bytes:
+        """Return the record or thumbnail of an object, or the sketch of a scene."""
+        return self.arrays[name][slice(*self.starts[ROWS[name][1]][number : number + 2])].tobytes()
+
+    def record(self, row: int) -> Record:
+        """Return what is shown of an object. Raises: FormatError: damaged."""
+        record: Record = as_kind(document_in(self.bytes_of("records", row), self.where), Record, self.where)
+        return record
 
 
-def _without_direction(path: Path) -> FormatError:
-    return FormatError(f"{path}: descriptors without a direction: {CURE}")
-
-
-def encoder_of(path: Path, schema: Any) -> EncoderIdentity:
-    """Return the encoder of the descriptors. Raises: FormatError: other columns than a catalogue has."""
-    encoder = _identity(path, (schema.metadata or {}).get(KEY))
-    expected = schema_of(encoder)
-    if not schema.equals(expected):
-        types = {column.name: column.type for column in schema}
-        wrong = [column.name for column in expected if types.get(column.name) != column.type]
-        raise FormatError(f"{path}: other columns than a catalogue's: {', '.join(wrong) or 'more of them'}")
-    return encoder
-
-
-def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
+def _scene_entry(scene: str, num_objects: int, num_agreed: int, added: str, field: str, folder: str) -> SceneEntry:
     try:
-        document = as_fields(document_in(about or b"", str(path)), str(path), version=object, encoder=EncoderIdentity)
-        encoder, version = document["encoder"], document["version"]
-        if not 1 <= encoder.dim <= MAX_DIM:
-            raise FormatError(f"encoder of {encoder.dim} dimensions")
-    except FormatError as error:
-        raise FormatError(f"{path}: a LanceDB table, but not of a catalogue that drsplat made") from error
-    if version != VERSION:
-        cure = (
-            "remove the folder and add its scenes again"
-            if version in range(1, VERSION)
-            else "install the drsplat that made it"
-        )
-        raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}: {cure}")
-    return encoder  # type: ignore[no-any-return]
+        moment = datetime.fromisoformat(added)
+        moment.astimezone()
+    except (ValueError, OverflowError) as error:
+        raise FormatError(f"a scene that was added at {added!a:.40}") from error
+    if not 0 <= num_objects <= MAX_GAUSSIANS:
+        raise FormatError(f"a scene of {num_objects} objects")
+    return SceneEntry(scene, num_objects, num_agreed, moment, field, folder, "unknown")
 
 
-NAME = "objects"
-OF_OBJECTS = "object_id >= 0"
-ROW_ID = "_rowid"
-ROWS_AT_ONCE = 8192  # of which descriptors are in memory while all are compared
+class Place(NamedTuple):
+    """An object: its part, its row there, its scene there, and its number in that."""
+
+    part: Part
+    row: int
+    scene: int
+    object_id: int
+
+    @property
+    def entry(self) -> SceneEntry:
+        """Scene that it is of."""
+        return self.part.scenes[self.scene]
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One version of the table, which never changes. encoder: of its descriptors."""
+    """One version of a catalogue. content: of its document. opened: parts and codes that were read, by file."""
 
     path: Path
-    table: Any
-    encoder: EncoderIdentity
+    content: bytes
+    opened: dict[str, object] = field(default_factory=dict)
+
+    @cached_property
+    def contents(self) -> Contents:
+        """Checked document. Raises: FormatError: damaged, edited or of another version."""
+        where = str(self.path / DOCUMENT)
+        document = as_document(document_in(self.content, where), where, FORMAT, VERSION, f"{AGAIN}, with this drsplat")
+        check_seal(document, where, cure=CURE)
+        contents: Contents = as_kind(document, Contents, where)
+        if not 1 <= contents.encoder.dim <= MAX_DIM or any(Path(one.name).name != one.name for one in contents.files):
+            raise FormatError(f"{where}: expected an encoder of 1 to {MAX_DIM} dimensions and names of files. {CURE}")
+        return contents
+
+    @property
+    def encoder(self) -> EncoderIdentity:
+        """Encoder of all descriptors."""
+        return self.contents.encoder
 
     def check_encoder(self, identity: EncoderIdentity) -> None:
         """Refuse an encoder with incompatible embeddings. Raises: MismatchError."""
@@ -232,132 +204,177 @@ class Snapshot:
             )
 
     @cached_property
-    def version(self) -> int:
-        with reading(self.path):
-            return int(self.table.version)
+    def parts(self) -> list[Part]:
+        """Parts of the version, in order. Raises: FormatError: damaged."""
+        return [
+            self._open(part.rows, lambda file: Part.read(self.path, file, self.encoder.dim))
+            for part in self.contents.parts
+        ]
 
     @cached_property
-    def num_rows(self) -> int:
-        with reading(self.path):
-            return int(self.table.count_rows())
+    def codes(self) -> list[PQCode] | None:
+        """Codes of each part's descriptors; None without an index. Raises: FormatError: damaged."""
+        file = self.contents.codebook
+        if file is None:
+            return None
+        try:
+            codebook = self._open(file, self._read_codebook)
+            pairs = zip(self.contents.parts, self.parts, strict=True)
+            return [self._codes_of(entry.codes, codebook, part) for entry, part in pairs]
+        except (FormatError, InputError) as error:
+            raise FormatError(f"{error}: {CODES_CURE}") from error
 
-    def count(self, where: str) -> int:
-        with reading(self.path):
-            return int(self.table.count_rows(where))
+    def _open(self, file: FileEntry, read: Callable[[FileEntry], T]) -> T:
+        if file.name not in self.opened:
+            self.opened[file.name] = read(file)
+        return self.opened[file.name]  # type: ignore[return-value]
+
+    def _read_codebook(self, file: FileEntry) -> Codebook:
+        codebook = load_codebook(self.path / file.name)
+        if not self.encoder.matches(codebook.encoder):
+            raise FormatError(f"{file.name}: a codebook of {codebook.encoder.name}, not of this catalogue's encoder")
+        return codebook
+
+    def _codes_of(self, file: FileEntry | None, codebook: Codebook, part: Part) -> PQCode:
+        if file is None:
+            raise FormatError(f"{part.where}: a part without codes")
+        arrays, _ = self._open(file, lambda file: read_arrays(self.path / file.name, file, CODES))
+        if len(arrays["inverse_norms"]) != part.starts["p"][-1]:
+            raise FormatError(f"{file.name}: codes of other descriptors than those of {part.where}")
+        return PQCode(codebook, arrays["grouped_codes"], None, arrays["inverse_norms"])
 
     @cached_property
-    def fragments(self) -> list[Fragment] | None:
-        """Fragments of this version; None if its row ids are no addresses in them. Raises: FormatError."""
-        manifest = manifest_of(folder_of(self.path), self.version)
-        if manifest is None:
-            raise FormatError(f"{self.path}: {CURE} (a manifest is missing)")
-        return fragments_of(manifest)
+    def firsts(self) -> Indices:
+        """Number of each part's first row among the rows of all parts, and the number of all."""
+        return np.append(0, np.cumsum([len(part) for part in self.parts], dtype=np.int64))
 
     @cached_property
-    def own_rows(self) -> dict[str, int]:
-        """Per scene the id of its row that is of no object."""
-        with reading(self.path):
-            rows = self.table.search().where("object_id = -1").select(["scene"]).with_row_id(True).to_arrow()
-            return dict(zip(rows["scene"].to_pylist(), rows[ROW_ID].to_pylist(), strict=True))
+    def scenes(self) -> dict[str, tuple[int, int]]:
+        """Per scene of this version, by name, the numbers of its part and of its place there."""
+        return {
+            scene.scene: (at, number)
+            for at, (entry, part) in enumerate(zip(self.contents.parts, self.parts, strict=True))
+            for number, scene in enumerate(part.scenes)
+            if scene.scene not in entry.without
+        }
 
-    def nearest(self, vector: Embedding, where: str, count: int) -> Any:
-        """Return the objects whose descriptors have the highest cosines with a unit vector, all compared.
+    @cached_property
+    def all_rows(self) -> Indices:
+        """Rows of all objects."""
+        return self.rows(Conditions())
 
-        where: SQL that they meet, "" for all.
-        """
-        ids, cosines = np.empty(0, np.int64), np.empty(0, np.float32)
-        with reading(self.path):
-            search = self.table.search().where(f"{OF_OBJECTS} AND {where}" if where else OF_OBJECTS)
-            for rows in search.select(["descriptors"]).with_row_id(True).to_batches(ROWS_AT_ONCE):
-                ids = np.append(ids, np.asarray(rows[ROW_ID]).astype(np.int64))
-                cosines = np.append(cosines, cosines_of(rows["descriptors"], vector, self.path))
-                best = np.lexsort((ids, -cosines))[:count]
-                best = best[np.isfinite(cosines[best])]
-                ids, cosines = ids[best], cosines[best]
-        return self.take(np.sort(ids))
+    def scene_entry(self, name: str) -> SceneEntry | None:
+        """Return what is known of a scene, None where there is none of that name."""
+        at, number = self.scenes.get(name, (-1, 0))
+        return None if at < 0 else self.parts[at].scenes[number]
 
-    def row_ids(self, where: str) -> Indices:
-        """Return the ids of the objects that meet a condition, ascending."""
-        with reading(self.path):
-            search = self.table.search().where(f"{OF_OBJECTS} AND {where}").select(["object_id"])
-            return np.sort(np.asarray(search.with_row_id(True).to_arrow()[ROW_ID]).astype(np.int64))
+    def rows(self, where: Conditions) -> Indices:
+        """Return the rows of the objects that meet conditions, ascending."""
+        rows = [np.empty(0, np.int64)]
+        for at, part in enumerate(self.parts):
+            scenes = [self.scenes.get(one.scene) == (at, k) and where.admit(one) for k, one in enumerate(part.scenes)]
+            is_in = np.repeat(np.array(scenes, np.bool_), np.diff(part.starts["o"]))
+            rows.append(self.firsts[at] + np.flatnonzero(is_in & where.hold(part.arrays)))
+        return np.concatenate(rows)
 
-    def take(self, row_ids: Indices, columns: Sequence[str] = COMPARED) -> Any:
-        """Return some columns of rows, and their ids, ascending; those that were deleted are left out."""
-        with reading(self.path):
-            if not len(row_ids):
-                return self.table.search().where("false").select(list(columns)).with_row_id(True).to_arrow()
-            return self.table.take_row_ids(row_ids.tolist()).select(list(columns)).with_row_id().to_arrow()
+    def place(self, row: int) -> Place:
+        """Return where a row is."""
+        at = int(np.searchsorted(self.firsts, row, "right")) - 1
+        part, own = self.parts[at], int(row - self.firsts[at])
+        scene = int(np.searchsorted(part.starts["o"], own, "right")) - 1
+        return Place(part, own, scene, own - int(part.starts["o"][scene]))
 
-    def heads(self, fragments: Sequence[Fragment]) -> tuple[Indices, Any]:
-        """Return the ids of the rows of some fragments, ascending, and their keys."""
-        with reading(self.path):
-            search = self.table.search().where(" OR ".join(one.sql for one in fragments)).select(list(HEAD))
-            found = search.with_row_id(True).to_arrow().sort_by(ROW_ID)
-            return np.asarray(found[ROW_ID]).astype(np.int64), found.select(list(HEAD))
+    def described(self, rows: Indices) -> Described:
+        """Return the descriptors of ascending rows, of unit length. Raises: FormatError: some have no direction."""
+        numbers, starts = self.stored(rows)
+        vectors = numbers.astype(np.float32)
+        return Described(vectors / lengths_of(vectors, self.path)[:, None], starts)
 
-    def described(self, row_ids: OtherIndices) -> tuple[Indices, Described]:
-        """Return the descriptors of rows, and the ids of those that were not deleted."""
-        taken = self.take(row_ids, ["descriptors"])
-        return np.asarray(taken[ROW_ID]).astype(np.int64), described_of(taken["descriptors"], self.path)
+    def stored(self, rows: Indices) -> tuple[Int8[Array, "P D"], OtherIndices]:
+        """Return the descriptors of ascending rows as files have them; row i has those from starts[i] to [i + 1]."""
+        runs = [np.empty((0, self.encoder.dim), np.int8)]
+        counts = [np.empty(0, np.int64)]
+        bounds = np.searchsorted(rows, self.firsts)
+        for at, part in enumerate(self.parts):
+            own, starts = rows[bounds[at] : bounds[at + 1]] - self.firsts[at], part.starts["p"]
+            runs += [part.arrays["descriptors"][starts[begin] : starts[end]] for begin, end in spans_of(own).tolist()]
+            counts.append(starts[own + 1] - starts[own])
+        return np.concatenate(runs), np.append(0, np.cumsum(np.concatenate(counts)))
 
     def spread(self, count: int) -> Described:
-        """Return the descriptors of some rows, evenly spread over the table."""
-        at = np.unique(np.linspace(0, self.num_rows - 1, min(count, self.num_rows)).astype(np.int64))
-        with reading(self.path):
-            taken = self.table.take_offsets(at.tolist()).select(["descriptors"]).to_arrow()
-        return described_of(taken["descriptors"], self.path)
+        """Return the descriptors of some objects, evenly spread over all."""
+        last = len(self.all_rows) - 1
+        return self.described(self.all_rows[np.unique(np.linspace(0, last, min(count, last + 1)).astype(np.int64))])
 
-    def rows(self, where: str, columns: Sequence[str]) -> Any:
-        with reading(self.path):
-            return self.table.search().where(where).select(list(columns)).to_arrow()
+    def verify(self) -> list[str]:
+        """Compare every byte with its checksum; return the names of the files. Raises: FormatError: damage."""
+        check_document(self.path / DOCUMENT)
+        for file in self.contents.files:
+            read_arrays(self.path / file.name, file, {}, whole=True)
+        return [DOCUMENT, *sorted(file.name for file in self.contents.files)]
 
 
-def current(path: Path) -> Snapshot | None:
-    """Return the current version of the table, compared with its record; None if there is none yet.
+def lengths_of(vectors: Embeddings, path: Path) -> Numbers:
+    """Return the length of each vector. Raises: FormatError: some have none."""
+    lengths = np.sqrt(np.einsum("pd,pd->p", vectors, vectors))
+    if not (lengths > 0).all():
+        raise FormatError(f"{path}: descriptors without a direction: {CURE}")
+    return np.asarray(lengths)
 
-    Raises: FormatError: the folder holds something else, or is damaged. MissingExtraError.
+
+def read_arrays(
+    path: Path, file: FileEntry, expected: Mapping[str, tuple[str, str]], whole: bool = False
+) -> tuple[Arrays, dict[str, str]]:
+    """Return the arrays of a file and its metadata. whole: compare also large ones with their checksums.
+
+    Raises: InputError: it is missing. FormatError: another file than was written, or other arrays than expected.
+    """
+    arrays, about = map_tensors(path)
+    if header_checksum(about) != file.crc32:
+        raise FormatError(f"{path}: damaged: it is not what was written")
+    check_tensors(arrays, expected, str(path))
+    if whole or sum(array.nbytes for array in arrays.values()) <= SMALL_BYTES:
+        check_checksums(arrays, about, str(path))
+    return arrays, about
+
+
+def current(path: Path, before: Snapshot | None = None, coded: bool = False) -> Snapshot | None:
+    """Open the current version; None if there is none yet. before: an earlier one, whose files are not read again.
+
+    coded: open its codes, too.
+
+    Raises: FormatError: the folder holds something else, or is damaged.
     """
     while True:
-        record = read_record(path)  # before the table is opened, so that the record is never newer
-        if record is None:
-            return latest(path)
-        record.check_files(folder_of(path))
-        snapshot = latest(path)
-        if snapshot is None:
-            raise FormatError(f"{path}: {CURE} (the versions of its table are missing)")
+        content = _document_bytes(path)
+        if content is None:
+            return None
+        snapshot = before
+        if before is None or before.content != content:
+            snapshot = Snapshot(path, content)
+            names = {file.name for file in snapshot.contents.files}
+            opened = {} if before is None else before.opened
+            snapshot.opened.update({name: file for name, file in opened.items() if name in names})
+        assert snapshot is not None
         try:
-            record.check_version(folder_of(path), snapshot.version)
-        except FormatError:
-            again = latest(path)
-            if again is None or again.version == snapshot.version:
-                raise
-            continue  # another version was written meanwhile, and files of this one were deleted
-        return snapshot
+            _ = snapshot.parts, coded and snapshot.codes
+            return snapshot
+        except DrSplatError:
+            if _document_bytes(path) == content:
+                raise  # else it was replaced meanwhile, and its files removed
 
 
-def folder_of(path: Path) -> Path:
-    return path / f"{NAME}.lance"
+def _document_bytes(path: Path) -> bytes | None:
+    try:
+        with open_file(path / DOCUMENT) as file:
+            return file.read()
+    except (FileNotFoundError, NotADirectoryError):
+        if not path.exists() or (path.is_dir() and all(name.suffix == ".tmp" for name in path.iterdir())):
+            return None
+        raise _no_catalogue(path) from None
 
 
-def latest(path: Path) -> Snapshot | None:
-    """Return the latest version of the table, whatever its record says; None if there is none. Raises: FormatError."""
-    lancedb, _ = libraries()
-    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
-        return None
-    if not folder_of(path).is_dir():
-        raise FormatError(
-            f"{path}: expected a catalogue, a folder with {NAME}.lance: `drsplat catalogue add` makes one"
-        )
-    if _is_unfinished(folder_of(path)):
-        return None
-    with reading(path):
-        table = lancedb.connect(path, session=session()).open_table(NAME)
-        schema = table.schema
-    return Snapshot(path, table, encoder_of(path, schema))
-
-
-def _is_unfinished(table: Path) -> bool:
-    """Return whether no version was finished: its writer was killed, and the next one starts anew."""
-    changes = (change.name for change in table.glob("_transactions/*"))
-    return not any(table.glob("_versions/*.manifest")) and all(name.startswith("0-") for name in changes)
+def _no_catalogue(path: Path) -> FormatError:
+    if (path / FORMER).exists():
+        return FormatError(f"{path}: a catalogue that an earlier drsplat made: {AGAIN}")
+    return FormatError(f"{path}: expected a catalogue, a folder with {DOCUMENT}: `drsplat catalogue add` makes one")

@@ -17,10 +17,11 @@ from ....errors import InputError
 from ....kernels.boxes import box_of
 from ....query.schema import Place
 from ....scene.labelled import Annotation
-from ...serving.query_fields import asking, values_of
+from ...serving.query_fields import Strict, asking, values_of
 from ..session import Mode, Session
-from .shared import Shared, open_batch, open_entry
-from .stage import Body, Camera, Finite, Number, Point, Span, Stage, Text, view_of
+from ..stage import Stage
+from .cameras import Camera, Finite, Number, Point, Span, Text, view_of
+from .shared import Shared
 
 T = TypeVar("T")
 LASSO_SIDE_PIXELS = 640
@@ -28,64 +29,7 @@ Finish = Callable[[], str | None]
 """The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
 
 
-class ChangeRequest(Body):
-    """A change and its numbers. color, colors: as of CSS. by: scene units along the world's axes.
-
-    number: a factor, of opacity or size; degrees of a turn.
-    """
-
-    change: Literal[
-        "remove", "isolate", "fill", "recolour", "palette", "opacity", "move", "duplicate", "turn", "scale"
-    ]  # fmt: skip
-    color: Text | None = None
-    colors: Annotated[list[Text], Field(min_length=1, max_length=MAX_COLORS)] | None = None
-    by: Point | None = None
-    number: Finite | None = None
-
-    def made(self, stage: Stage) -> Change:
-        """Return the change. Raises: InputError: what it needs was not given, or makes no sense."""
-        match self.change:
-            case "remove":
-                return Remove()
-            case "isolate":
-                return Isolate()
-            case "fill":
-                return Fill()
-            case "recolour":
-                return Recolour(color_of(_given(self.color, "recolour: expected a color such as #2060ff")))
-            case "palette":
-                colors = _given(self.colors, "palette: expected colors such as #203040")
-                return Palette(tuple(color_of(one) for one in colors))
-            case "opacity":
-                return Opacity(self._number)
-            case "move":
-                return Move(self._place)
-            case "duplicate":
-                return Duplicate(self._place)
-            case "turn":
-                x, y, z = stage.up.tolist()
-                return Turn(self._number, (x, y, z))
-            case "scale":
-                part = stage.session.edited(selected_only=True)[0]
-                return scaled_on_its_foot(part, self._number, stage.up)
-
-    @property
-    def _number(self) -> float:
-        return _given(self.number, f"{self.change}: expected a number")
-
-    @property
-    def _place(self) -> Point:
-        return _given(self.by, f"{self.change}: expected by, three numbers in scene units")
-
-
-def _given(value: T | None, expected: str) -> T:
-    """Return a value of a request. Raises: InputError: there is none."""
-    if value is None:
-        raise InputError(expected)
-    return value
-
-
-class Act(Body):
+class Act(Strict):
     """An act. One with a `key` is left out where another of the same key came before its turn."""
 
     @property
@@ -145,11 +89,13 @@ class Ask(Act):
         return shared.session.ask(**asked)
 
 
-class MoreLikeThis(Act):
-    act: Literal["more_like_this"]
+class Press(Act):
+    """An act that the session has under the same name, and that needs to be told nothing."""
+
+    act: Literal["more_like_this", "clear", "smaller", "larger"]
 
     def do(self, shared: Shared) -> None:
-        shared.session.more_like_this()
+        getattr(shared.session, self.act)()
 
 
 class Threshold(Act):
@@ -184,13 +130,6 @@ class SetMode(Act):
         shared.session.mode = Mode(self.mode)
 
 
-class Clear(Act):
-    act: Literal["clear"]
-
-    def do(self, shared: Shared) -> None:
-        shared.session.clear()
-
-
 class Click(Act):
     act: Literal["click"]
     origin: Point
@@ -223,14 +162,6 @@ class Choose(Act):
         shared.session.choose_object(self.number)
 
 
-class Step(Act):
-    act: Literal["smaller", "larger"]
-
-    def do(self, shared: Shared) -> None:
-        session = shared.session
-        (session.smaller if self.act == "smaller" else session.larger)()
-
-
 class Name(Act):
     act: Literal["name"]
     text: Text
@@ -238,7 +169,7 @@ class Name(Act):
     def do(self, shared: Shared) -> None:
         shared.session.name(self.text)
         shared.stage.rename()
-        shared.renew_header()
+        shared.counters.header += 1
 
 
 class Lasso(Act):
@@ -252,11 +183,55 @@ class Lasso(Act):
         return shared.session.lasso(view, np.array(self.polygon, np.float64) * scale)
 
 
-class EditSelection(EditAct, ChangeRequest):
+class EditSelection(EditAct):
+    """A change of the selection and its numbers. color, colors: as of CSS. by: scene units along the world's axes.
+
+    number: a factor, of opacity or size; degrees of a turn.
+    """
+
     act: Literal["edit"]
+    change: Literal[
+        "remove", "isolate", "fill", "recolour", "palette", "opacity", "move", "duplicate", "turn", "scale"
+    ]  # fmt: skip
+    color: Text | None = None
+    colors: Annotated[list[Text], Field(min_length=1, max_length=MAX_COLORS)] | None = None
+    by: Point | None = None
+    number: Finite | None = None
 
     def apply(self, stage: Stage) -> None:
-        stage.session.edit(self.made(stage))
+        stage.session.edit(self._made(stage))
+
+    def _made(self, stage: Stage) -> Change:
+        """Return the change. Raises: InputError: what it needs was not given, or makes no sense."""
+        match self.change:
+            case "remove":
+                return Remove()
+            case "isolate":
+                return Isolate()
+            case "fill":
+                return Fill()
+            case "recolour":
+                return Recolour(color_of(_given(self.color, "recolour: expected a color such as #2060ff")))
+            case "palette":
+                colors = _given(self.colors, "palette: expected colors such as #203040")
+                return Palette(tuple(color_of(one) for one in colors))
+            case "move" | "duplicate":
+                by = _given(self.by, f"{self.change}: expected by, three numbers in scene units")
+                return (Move if self.change == "move" else Duplicate)(by)
+        number = _given(self.number, f"{self.change}: expected a number")
+        if self.change == "opacity":
+            return Opacity(number)
+        if self.change == "turn":
+            x, y, z = stage.up.tolist()
+            return Turn(number, (x, y, z))
+        return scaled_on_its_foot(stage.session.edited(selected_only=True)[0], number, stage.up)
+
+
+def _given(value: T | None, expected: str) -> T:
+    """Return a value of a request. Raises: InputError: there is none."""
+    if value is None:
+        raise InputError(expected)
+    return value
 
 
 class Reverse(EditAct):
@@ -273,9 +248,7 @@ class Annotate(Act):
     at: Literal["selection", "click"]
 
     def do(self, shared: Shared) -> None:
-        session = shared.session
-        here = _clicked_note if self.at == "click" else _selected_notes
-        session.edits.annotate(*here(session, self.text))
+        shared.session.edits.annotate(*_notes(shared.session, self.text, self.at))
 
 
 class DropAnnotation(Act):
@@ -312,7 +285,7 @@ class Open(SlowAct):
     batch: Text
 
     def begin(self, shared: Shared) -> Callable[[], Finish]:
-        return open_batch(shared, self.batch)
+        return shared.open_batch(self.batch)
 
 
 class OpenEntry(SlowAct):
@@ -320,12 +293,12 @@ class OpenEntry(SlowAct):
     number: Number
 
     def begin(self, shared: Shared) -> Callable[[], Finish]:
-        return open_entry(shared, self.number)
+        return shared.open_entry(self.number)
 
 
 AnyAct = (
-    Ask | MoreLikeThis | Threshold | Classify | SetMode | Clear | Click | ClickPhoto | Choose | Step | Name
-    | Lasso | EditSelection | Reverse | Annotate | DropAnnotation | Time | During | Open | OpenEntry
+    Ask | Press | Threshold | Classify | SetMode | Click | ClickPhoto | Choose | Name | Lasso | EditSelection | Reverse
+    | Annotate | DropAnnotation | Time | During | Open | OpenEntry
 )  # fmt: skip
 _ADAPTER: TypeAdapter[AnyAct] = TypeAdapter(Annotated[AnyAct, Field(discriminator="act")])
 
@@ -377,19 +350,17 @@ def _set_during(session: Session, span: Span | None) -> None:
     session.during = None if span is None or (span[0] <= times[0] and span[1] >= times[-1]) else span
 
 
-def _selected_notes(session: Session, text: str) -> list[Annotation]:
-    """Return a text at the box of each match. Raises: InputError: nothing is selected."""
-    boxes = [match for result in session.results for match in result.matches]
-    if not boxes:
-        raise InputError("nothing is selected: make a query that has a match first, or click an object")
+def _notes(session: Session, text: str, at: str) -> list[Annotation]:
+    """Return a text at the click, or at the box of each match. Raises: InputError: there is none."""
+    if at == "click":
+        if session.clicked is None:
+            raise InputError("click something in the scene first")
+        return [Annotation.at(text, session.clicked.point)]
     here = [  # where a match is now: it may have been moved
-        box_of(session.standing(match.gaussian_ids), np.arange(len(match)), session.scene.up) for match in boxes
+        box_of(session.standing(match.gaussian_ids), np.arange(len(match)), session.scene.up)
+        for result in session.results
+        for match in result.matches
     ]
+    if not here:
+        raise InputError("nothing is selected: make a query that has a match first, or click an object")
     return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6)) for box in here]
-
-
-def _clicked_note(session: Session, text: str) -> list[Annotation]:
-    """Return a text at the place that was clicked. Raises: InputError: nothing was."""
-    if session.clicked is None:
-        raise InputError("click something in the scene first")
-    return [Annotation.at(text, session.clicked.point)]

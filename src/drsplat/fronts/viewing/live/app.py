@@ -10,7 +10,7 @@ from threading import Event
 from typing import Any, TypeVar
 from urllib.parse import quote
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from starlette.applications import Starlette
 from starlette.datastructures import QueryParams
 from starlette.exceptions import HTTPException
@@ -20,21 +20,22 @@ from starlette.routing import Route
 
 from ....base.contents import Document
 from ....errors import DrSplatError, InputError
-from ...serving.replies import BUG, JPEG, PNG, Reply, decoded, faults_of, problem, refusal
+from ...serving.query_fields import Strict
+from ...serving.replies import BUG, JPEG, PNG, Reply, decoded, faults_of, jpeg, problem, refusal
 from ..client import client_file, live_html, printable
 from ..saving import Saves
+from ..stage import Stage
 from . import files
 from .acts import AnyAct, Open, SlowAct, begun, done, read_act
 from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed, tile_paint, tile_splats
+from .cameras import MAX_SIDE_PIXELS, Camera, Path, Text, flight_document
 from .shared import Shared
-from .stage import MAX_SIDE_PIXELS, Body, Camera, Path, Stage, Text, flight_document
 from .turns import Lanes, Visit
 
 MAX_STREAMS = 16
 BEAT_S = 15.0
 MAX_PICTURE_PIXELS = 40_000_000
 T = TypeVar("T")
-B = TypeVar("B", bound=BaseModel)
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 
@@ -51,12 +52,11 @@ class Events:
     def tell(self, concerned: Visit | None = None) -> None:
         """Wake the streams of a visit, of all for None; from any thread."""
         for changed, (loop, visit) in list(self._streams.items()):
-            if concerned is not None and concerned is not visit:
-                continue
-            try:
-                loop.call_soon_threadsafe(changed.set)
-            except RuntimeError:  # its loop has ended
-                self._streams.pop(changed, None)
+            if concerned in (None, visit):
+                try:
+                    loop.call_soon_threadsafe(changed.set)
+                except RuntimeError:  # its loop has ended
+                    self._streams.pop(changed, None)
 
     def close(self) -> None:
         """End all streams."""
@@ -85,11 +85,11 @@ class Events:
             self._streams.pop(changed, None)
 
 
-class CameraOnly(Body):
+class CameraOnly(Strict):
     camera: Camera
 
 
-class CatalogueText(Body):
+class CatalogueText(Strict):
     text: Text
 
 
@@ -102,33 +102,50 @@ def _binary(packed: Packed) -> Response:
 
 
 def _photo(shared: Shared, asked: QueryParams) -> bytes:
+    """Return a photo, or a rendering where it is not at hand. Raises: InputError: no such view."""
     side = _number(asked, "side", "960")
     if not 16 <= side <= MAX_SIDE_PIXELS:
         raise InputError(f"side: expected 16 to {MAX_SIDE_PIXELS} pixels, got {side}")
-    return files.photo(shared.stage, asked.get("name", ""), side)
+    return jpeg(shared.session.scene.picture(asked.get("name", ""), photo=True, max_side=side))
 
 
-LOOKS: dict[str, tuple[Callable[[Shared, QueryParams], Any], Callable[[Any], Response]]] = {
-    "header": (lambda shared, _: shared.header(), _json),
-    "state": (lambda shared, _: shared.state(), _json),
-    "splats": (lambda shared, asked: shared.splats(_number(asked, "from", "0")), _binary),
-    "paint": (lambda shared, asked: shared.paint(_number(asked, "from", "0")), _binary),
-    "colors": (lambda shared, asked: shared.colors(asked.get("mode", ""), _number(asked, "from", "0")), _binary),
-    "tiles": (lambda shared, asked: tile_splats(shared.stage, _numbers(asked, "parts")), _binary),
-    "tiles-paint": (lambda shared, asked: tile_paint(shared.stage, _numbers(asked, "parts")), _binary),
-    "photo": (_photo, _jpeg),
-    "clicked-photo": (lambda shared, _: files.clicked_photo(shared.stage), _jpeg),
-    "catalogue-picture": (lambda shared, asked: shared.entry_picture(_number(asked, "number")), _jpeg),
-}
-"""Functions that look at something in the turn of a browser, and how the result is sent."""
+def _ask_picture(shared: Shared, asked: tuple[QueryParams, bytes]) -> Document:
+    params, body = asked
+    shared.session.ask_picture(decoded(body, MAX_PICTURE_PIXELS), printable(params.get("name", "picture"), 60))
+    shared.note()
+    return shared.state()
 
-QUESTIONS: dict[str, tuple[type[BaseModel], Callable[[Shared, Any], Any], Callable[[Any], Response]]] = {
+
+LOOKS: dict[str, tuple[Any, Callable[[Shared, Any], Any], Callable[[Any], Response]]] = {
+    "header": (None, lambda shared, _: shared.header(), _json),
+    "state": (None, lambda shared, _: shared.state(), _json),
+    "splats": (None, lambda shared, asked: shared.splats(_number(asked, "from", "0")), _binary),
+    "paint": (None, lambda shared, asked: shared.paint(_number(asked, "from", "0")), _binary),
+    "colors": (
+        None, lambda shared, asked: shared.colors(asked.get("mode", ""), _number(asked, "from", "0")), _binary,
+    ),
+    "tiles": (None, lambda shared, asked: tile_splats(shared.stage, _numbers(asked, "parts")), _binary),
+    "tiles-paint": (None, lambda shared, asked: tile_paint(shared.stage, _numbers(asked, "parts")), _binary),
+    "photo": (None, _photo, _jpeg),
+    "clicked-photo": (None, lambda shared, _: files.clicked_photo(shared.stage), _jpeg),
+    "catalogue-picture": (None, lambda shared, asked: shared.entry_picture(_number(asked, "number")), _jpeg),
     "picture": (CameraOnly, lambda shared, asked: files.shown_picture(shared.stage, asked.camera), _png),
     "before-after": (CameraOnly, lambda shared, asked: files.before_after(shared.stage, asked.camera), _png),
     "flight": (Path, lambda shared, asked: flight_document(shared.stage, asked), _json),
     "catalogue": (CatalogueText, lambda shared, asked: shared.search(asked.text), _json),
-}
-"""The same of what is asked in a JSON body."""
+    "ask-picture": (bytes, _ask_picture, _json),
+    "load-path": (bytes, lambda shared, asked: files.loaded_path(shared.stage, asked[1]), _json),
+}  # fmt: skip
+"""Kind of a question, function that answers it in the turn of a browser, and how the answer is sent.
+
+Asked is a JSON body of some kind, or (bytes) the query with any body; without either (None) it is the query of a GET.
+"""
+
+FILES: dict[str, tuple[type[Strict] | None, Callable[[Saves, Stage, Any, Event], files.Saved]]] = {
+    "save": (files.Save, files.saved), "film": (files.Film, files.film), "path": (Path, files.path_file),
+    "page": (None, files.page_file),
+}  # fmt: skip
+"""Kind of a question for a file, and function that writes it."""
 
 
 class Viewer:
@@ -138,32 +155,27 @@ class Viewer:
     """
 
     def __init__(self, shared: Shared, lanes: Lanes) -> None:
-        self.shared, self.lanes, self.turns, self.pictures = shared, lanes, lanes.quick, files.ObjectPictures()
-        self.progress = files.Progress()
+        self.shared, self.lanes, self.turns = shared, lanes, lanes.quick
         self.events = Events(lambda: vars(shared.counters))
         shared.tell = self.events.tell
 
     def prepare(self) -> None:
         """Find names, words and pictures of the objects of the scene that is open. Raises: BusyError."""
         self.lanes.change(self.shared.prepare)
-        self.lanes.files.submit(lambda: self.pictures.draw(self.shared.stage, lambda: self.lanes.files.is_ending))
+        self.lanes.files.submit(lambda: files.draw_pictures(self.shared.stage, lambda: self.lanes.files.is_ending))
 
     def routes(self) -> list[Route]:
-        own: dict[str, Handler] = {
+        looks: dict[str, Handler] = {
             "/": self.page, "/client.js": _client_file, "/client.css": _client_file, "/favicon.ico": _no_icon,
             "/view/events": self.listen, "/view/object-picture": self.object_picture,
             "/view/film-progress": self.film_progress,
         }  # fmt: skip
-        acts: dict[str, Handler] = {
-            "do": self.do, "ask-picture": self.ask_picture, "open": self.open, "upload": self.upload,
-            "save": self.save, "film": self.film, "path": self.path, "load-path": self.load_path, "page": self.export,
-        }  # fmt: skip
-        looks = {f"/view/{name}": self._looking(*way) for name, way in LOOKS.items()} | own
-        acts |= {name: self._asking(*way) for name, way in QUESTIONS.items()}
-        return [
-            *(Route(path, handler, methods=["GET"]) for path, handler in looks.items()),
-            *(Route(f"/view/{name}", handler, methods=["POST"]) for name, handler in acts.items()),
-        ]
+        acts: dict[str, Handler] = {"/view/do": self.do, "/view/open": self.open, "/view/upload": self.upload}
+        for name, (kind, answer, sent) in LOOKS.items():
+            (looks if kind is None else acts)[f"/view/{name}"] = self._looking(kind, answer, sent)
+        acts |= {f"/view/{name}": self._writing(*way) for name, way in FILES.items()}
+        gets = [Route(path, handler, methods=["GET"]) for path, handler in looks.items()]
+        return [*gets, *(Route(path, handler, methods=["POST"]) for path, handler in acts.items())]
 
     # --- who asks ---
 
@@ -180,21 +192,12 @@ class Viewer:
 
         return entered
 
-    async def _turn(self, request: Request, act: Callable[[], T]) -> T:
-        return await self.turns.take(self._entered(request, act))
-
     # --- looking ---
 
-    def _looking(self, look: Callable[[Shared, QueryParams], T], sent: Callable[[T], Response]) -> Handler:
+    def _looking(self, kind: Any, look: Callable[[Shared, Any], T], sent: Callable[[T], Response]) -> Handler:
         async def handler(request: Request) -> Response:
-            return sent(await self._turn(request, lambda: look(self.shared, request.query_params)))
-
-        return handler
-
-    def _asking(self, kind: type[B], answer: Callable[[Shared, B], T], sent: Callable[[T], Response]) -> Handler:
-        async def handler(request: Request) -> Response:
-            asked = await _body(request, kind)
-            return sent(await self._turn(request, lambda: answer(self.shared, asked)))
+            asked = await _asked(request, kind)
+            return sent(await self.turns.take(self._entered(request, lambda: look(self.shared, asked))))
 
         return handler
 
@@ -209,10 +212,8 @@ class Viewer:
 
     async def object_picture(self, request: Request) -> Response:
         number, stage = _number(request.query_params, "number"), self.shared.stage
-        drawn = self.pictures.known(stage, number)
-        if drawn is None:
-            drawn = await self.lanes.files.take(lambda: self.pictures.picture(stage, number))
-        return _jpeg(drawn)
+        drawn = stage.pictures.get(number)
+        return _jpeg(drawn or await self.lanes.files.take(lambda: files.object_picture(stage, number)))
 
     # --- acting ---
 
@@ -225,7 +226,7 @@ class Viewer:
         if isinstance(act, SlowAct):
             state = await self.lanes.take_change(self._entered(request, lambda: begun(shared, act)))
         elif act.key is None:
-            state = await self._turn(request, lambda: done(shared, act))
+            state = await self.turns.take(self._entered(request, lambda: done(shared, act)))
         else:
             ways = (self._entered(request, way) for way in (lambda: done(shared, act), shared.state))
             state = await self.turns.take_latest((self._visit(request), act.key), *ways)
@@ -233,20 +234,9 @@ class Viewer:
             self.prepare()
         return state
 
-    async def ask_picture(self, request: Request) -> Response:
-        name, body = request.query_params.get("name", "picture"), await request.body()
-
-        def ask() -> Document:
-            self.shared.session.ask_picture(decoded(body, MAX_PICTURE_PIXELS), printable(name, 60))
-            self.shared.note()
-            return self.shared.state()
-
-        return JSONResponse(await self._turn(request, ask))
-
     async def upload(self, request: Request) -> Response:
         batch, name = request.query_params.get("batch", ""), request.query_params.get("name", "")
-        size = await self.shared.uploads.take(batch, name, request.stream())
-        return JSONResponse({"bytes": size})
+        return JSONResponse({"bytes": await self.shared.uploads.take(batch, name, request.stream())})
 
     async def open(self, request: Request) -> Response:
         """Take one file, and open it."""
@@ -259,48 +249,34 @@ class Viewer:
 
     # --- files ---
 
-    async def save(self, request: Request) -> Response:
-        asked = await _body(request, files.Save)
-        return await self._file(request, lambda saves, stage: files.saved(saves, stage, asked))
-
-    async def film(self, request: Request) -> Response:
-        asked, is_gone = await _body(request, files.Film), Event()
-        watching = asyncio.ensure_future(_watch(request, is_gone))
-        try:
-            return await self._file(
-                request, lambda saves, stage: files.film(saves, stage, asked, is_gone, self.progress)
-            )
-        finally:
-            is_gone.set()
-            watching.cancel()
-
     async def film_progress(self, request: Request) -> Response:
-        return JSONResponse(self.progress.document(request.query_params.get("job", "")))
+        """Tell how many pictures are done; 0 of 0 where the film waits for its turn or is whole."""
+        drawn, count = self.shared.saves.films.get(request.query_params.get("job", ""), (0, 0))
+        return JSONResponse({"done": drawn, "count": count})
 
-    async def path(self, request: Request) -> Response:
-        asked = await _body(request, Path)
-        return await self._file(request, lambda saves, stage: files.path_file(saves, stage, asked))
-
-    async def load_path(self, request: Request) -> Response:
-        body = await request.body()
-        return JSONResponse(await self._turn(request, lambda: files.loaded_path(self.shared.stage, body)))
-
-    async def export(self, request: Request) -> Response:
-        return await self._file(request, files.page_file)
-
-    async def _file(self, request: Request, write: Callable[[Saves, Stage], files.Saved]) -> Response:
+    def _writing(self, kind: type[Strict] | None, write: Callable[[Saves, Stage, Any, Event], files.Saved]) -> Handler:
         """Answer with a file of the session as it is now, whatever is done to it while the file is written."""
         shared = self.shared
 
-        def begin() -> Callable[[], files.Saved]:
-            stage = shared.stage.copied()
-            return lambda: write(shared.saves, stage)
+        async def handler(request: Request) -> Response:
+            asked, is_gone = await _asked(request, kind), Event()
 
-        saved = await self.lanes.take_file(self._entered(request, begin))
-        headers = {"content-disposition": f'attachment; filename="{saved.path.name}"'}
-        if self.shared.saves.folder is not None:
-            headers["x-drsplat-saved"] = quote(str(saved.path), errors="replace")
-        return Response(saved.data, headers=headers, media_type="application/octet-stream")
+            def begin() -> Callable[[], files.Saved]:
+                stage = shared.stage.copied()
+                return lambda: write(shared.saves, stage, asked, is_gone)
+
+            watching = asyncio.ensure_future(_watch(request, is_gone))
+            try:
+                path, data = await self.lanes.take_file(self._entered(request, begin))
+            finally:
+                is_gone.set()
+                watching.cancel()
+            headers = {"content-disposition": f'attachment; filename="{path.name}"'}
+            if shared.saves.folder is not None:
+                headers["x-drsplat-saved"] = quote(str(path), errors="replace")
+            return Response(data, headers=headers, media_type="application/octet-stream")
+
+        return handler
 
 
 def create_app(shared: Shared, lanes: Lanes) -> Starlette:
@@ -320,39 +296,34 @@ def create_app(shared: Shared, lanes: Lanes) -> Starlette:
 def _refusals(shared: Shared) -> dict[Any, Any]:
     """Return what answers each kind of error; no answer names a folder of this machine."""
 
-    async def refused(_: Request, error: DrSplatError) -> Response:
-        return _sent(refusal(error, shared.without_folders(str(error))))
+    def reply_to(request: Request, error: Exception) -> Reply:
+        match error:
+            case DrSplatError():
+                return refusal(error, shared.without_folders(str(error)))
+            case ValidationError():
+                return problem(422, faults_of(error.errors()), "invalid")
+            case HTTPException(status_code=404):
+                return problem(404, f"there is nothing at {request.url.path!a:.80}", "http")
+            case HTTPException():
+                return problem(error.status_code, str(error.detail), "http")
+            case OSError():
+                said = error.strerror or type(error).__name__
+                return problem(503, f"the viewer's machine says: {said}", "system")
+            case MemoryError():
+                return problem(503, "the viewer's machine has too little memory for this", "memory")
+        return problem(500, BUG, "bug")  # uvicorn logs the traceback
 
-    async def invalid(_: Request, error: ValidationError) -> Response:
-        return _sent(problem(422, faults_of(error.errors()), "invalid"))
+    async def refused(request: Request, error: Exception) -> Response:
+        reply = reply_to(request, error)
+        headers = {"retry-after": "1"} if reply.status == 503 else {}
+        return Response(reply.body, reply.status, headers, reply.media_type)
 
-    async def http(request: Request, error: HTTPException) -> Response:
-        said = f"there is nothing at {request.url.path!a:.80}" if error.status_code == 404 else str(error.detail)
-        return _sent(problem(error.status_code, said, "http"))
-
-    async def failed_system(_: Request, error: OSError) -> Response:
-        return _sent(problem(503, f"the viewer's machine says: {error.strerror or type(error).__name__}", "system"))
-
-    async def failed_memory(_: Request, __: MemoryError) -> Response:
-        return _sent(problem(503, "the viewer's machine has too little memory for this", "memory"))
-
-    async def failed(_: Request, __: Exception) -> Response:
-        return _sent(problem(500, BUG, "bug"))  # uvicorn logs the traceback
-
-    return {
-        DrSplatError: refused, ValidationError: invalid, HTTPException: http, OSError: failed_system,
-        MemoryError: failed_memory, Exception: failed,
-    }  # fmt: skip
+    return dict.fromkeys((DrSplatError, ValidationError, HTTPException, OSError, MemoryError, Exception), refused)
 
 
 def _cookie(request: Request) -> str:
     """Return the name of the cookie of a visit, with the viewer's port: cookies do not tell ports apart."""
     return f"drsplat-visit-{request.headers['host'].rpartition(':')[2].strip(']')}"
-
-
-def _sent(reply: Reply) -> Response:
-    headers = {"retry-after": "1"} if reply.status == 503 else {}
-    return Response(reply.body, reply.status, headers, reply.media_type)
 
 
 async def _client_file(request: Request) -> Response:
@@ -364,25 +335,32 @@ async def _no_icon(_: Request) -> Response:
     return Response(status_code=204)  # which browsers ask for unasked
 
 
-async def _body(request: Request, kind: type[B]) -> B:
-    """Read a JSON body. Raises: ValidationError: it is of another shape."""
-    return kind.model_validate_json(await request.body())
+async def _asked(request: Request, kind: Any) -> Any:
+    """Return what a request asks, as of `LOOKS`. Raises: ValidationError: a body of another shape."""
+    if kind is None:
+        return request.query_params
+    body = await request.body()
+    return (request.query_params, body) if kind is bytes else kind.model_validate_json(body)
 
 
 def _number(asked: QueryParams, name: str, default: str = "") -> int:
     """Return a whole number of the query. Raises: InputError: there is none."""
     text = asked.get(name, default)
-    if not (text.isascii() and text.isdigit() and len(text) < 10):
+    if not _is_whole(text):
         raise InputError(f"{name}: expected a whole number, got {text!a:.40}")
     return int(text)
 
 
 def _numbers(asked: QueryParams, name: str) -> list[int]:
     """Return whole numbers of the query, separated by commas. Raises: InputError: there are none."""
-    texts = asked.get(name, "").split(",")
-    if not all(text.isascii() and text.isdigit() and len(text) < 10 for text in texts):
-        raise InputError(f"{name}: expected whole numbers such as 0,2,4; got {','.join(texts)!a:.40}")
-    return [int(text) for text in texts]
+    text = asked.get(name, "")
+    if not all(map(_is_whole, text.split(","))):
+        raise InputError(f"{name}: expected whole numbers such as 0,2,4; got {text!a:.40}")
+    return list(map(int, text.split(",")))
+
+
+def _is_whole(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 10
 
 
 async def _watch(request: Request, is_gone: Event) -> None:

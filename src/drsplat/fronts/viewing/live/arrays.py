@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ....base.arrays import RowIds
 from ....errors import InputError
 from .. import results
-from ..page import as_bytes, packed
-from ..session import Mode
-from ..shown import rounded, shown_part
+from ..page import packed
+from ..session import Mode, Session
+from ..shown import as_bytes, base_colors, rounded, shown_part
+from ..stage import Stage
 from ..tiled import TiledSession
-from .stage import Stage
 
 ARRAYS_HEADER, ROWS_HEADER = "x-drsplat-arrays", "x-drsplat-rows"
 PIECE_ROWS = 1 << 17  # of an answer
@@ -40,13 +41,15 @@ def splats(stage: Stage, begin: int) -> Packed:
     Raises: InputError: there is no such row.
     """
     drawn, rows = stage.session.drawn, stage.order[begin : begin + PIECE_ROWS]
-    part: Rows = {
-        "centers": drawn.centers[rows],
-        "covariances": drawn.covariances[rows].astype(np.float16),
-        "rgb": as_bytes(drawn.rgb[rows]),
-        "opacity": as_bytes(drawn.opacities[rows]),
-    }
-    return _packed(part, begin, len(stage.order))
+    part = drawn.centers[rows], drawn.covariances[rows], drawn.rgb[rows], drawn.opacities[rows]
+    return _packed(_splats(*part), begin, len(stage.order))
+
+
+def _splats(centers: np.ndarray, covariances: np.ndarray, rgb: np.ndarray, opacities: np.ndarray) -> Rows:
+    return {
+        "centers": centers, "covariances": covariances.astype(np.float16), "rgb": as_bytes(rgb),
+        "opacity": as_bytes(opacities),
+    }  # fmt: skip
 
 
 def piece(arrays: Rows, begin: int) -> Packed:
@@ -57,15 +60,19 @@ def piece(arrays: Rows, begin: int) -> Packed:
 
 def paint(stage: Stage) -> Rows:
     """Return what each row answers: heat, the query that it belongs to, and its object."""
-    session = stage.session
-    found, count = session.results, len(session.scene.gaussians)
+    return {name: stage.session.of_drawn(values)[stage.order] for name, values in _paint(stage.session).items()}
+
+
+def _paint(session: Session, rows: RowIds | None = None) -> Rows:
+    """Return what some rows of the scene answer, or all."""
+    found, count = session.results, len(session.scene.rows)
     arrays = {
-        "heat": as_bytes(results.heat(found, count)),
-        "owner": (results.owners(found, count) + 1).astype(np.uint8),
+        "heat": as_bytes(results.heat(found, count, rows)),
+        "owner": (results.owners(found, count, rows) + 1).astype(np.uint8),
     }
     if session.has_objects:
-        arrays["object"] = (np.minimum(session.object_ids, MAX_OBJECTS - 1) + 1).astype(np.uint16)
-    return {name: session.of_drawn(values)[stage.order] for name, values in arrays.items()}
+        arrays["object"] = (np.minimum(session.objects_at(rows), MAX_OBJECTS - 1) + 1).astype(np.uint16)
+    return arrays
 
 
 def colors(stage: Stage, mode: str) -> Rows:
@@ -83,12 +90,9 @@ def colors(stage: Stage, mode: str) -> Rows:
 
 def nothing() -> Packed:
     """Return no rows at all, where no scene is open."""
-    empty = np.empty(0, np.uint8)
-    part: Rows = {
-        "centers": np.empty(0, np.float32), "covariances": np.empty(0, np.float16), "rgb": empty, "opacity": empty,
-        "heat": empty, "owner": empty,
-    }  # fmt: skip
-    return _packed(part, 0, 0)
+    none = np.empty(0, np.float32)
+    empty = as_bytes(none)
+    return _packed(_splats(none, none, none, none) | {"heat": empty, "owner": empty}, 0, 0)
 
 
 def _packed(part: Rows, begin: int, rows: int) -> Packed:
@@ -120,25 +124,19 @@ def tile_splats(stage: Stage, parts: Sequence[int]) -> Packed:
     Raises: InputError: no tiles, no such part, or too many. FormatError: a tile is damaged or missing.
     """
     session = _checked(stage, parts)
-    read = [shown_part(session.part(number)[0], session.shown.frame) for number in parts]
-    centers, covariances, rgb, opacities = (np.concatenate(columns) for columns in zip(*read, strict=True))
-    arrays: Rows = {
-        "centers": centers, "covariances": covariances.astype(np.float16), "rgb": as_bytes(rgb),
-        "opacity": as_bytes(opacities),
-    }  # fmt: skip
-    return _packed(arrays, 0, len(centers))
+    read = [shown_part(session.part(number), session.shown.frame) for number in parts]
+    arrays = _splats(*(np.concatenate(columns) for columns in zip(*read, strict=True)))
+    return _packed(arrays, 0, len(arrays["centers"]))
 
 
 def tile_paint(stage: Stage, parts: Sequence[int]) -> Packed:
-    """Return what the same rows answer, and their colours where only this side knows them. Raises: as `tile_splats`."""
+    """Return what the same rows answer, and the colours of classes. Raises: as `tile_splats`."""
     session = _checked(stage, parts)
     rows = np.concatenate([session.rows_of(number) for number in parts])
-    arrays: Rows = {"heat": as_bytes(session.heat_at(rows)), "owner": (session.owners_at(rows) + 1).astype(np.uint8)}
-    if session.has_objects:
-        arrays["object"] = (np.minimum(session.objects_at(rows), MAX_OBJECTS - 1) + 1).astype(np.uint16)
-    if session.mode in COLOUR_MODES and session.mode is Mode.CLASSES:
-        own = np.concatenate([shown_part(session.part(number)[0], session.shown.frame)[2] for number in parts])
-        arrays["rgb"] = as_bytes(session.colors_at(own, rows))
+    arrays = _paint(session, rows)
+    if session.mode is Mode.CLASSES:
+        own = np.concatenate([base_colors(session.part(number)) for number in parts])
+        arrays["rgb"] = as_bytes(session.painted(own, rows))
     return _packed(arrays, 0, len(rows))
 
 
@@ -148,11 +146,7 @@ def _checked(stage: Stage, parts: Sequence[int]) -> TiledSession:
         raise InputError("parts: this scene is not in tiles")
     if not 1 <= len(parts) <= MAX_PARTS or len(set(parts)) < len(parts):
         raise InputError(f"parts: expected 1 to {MAX_PARTS} different numbers, got {len(parts)}")
-    counts = [
-        session.num_coarse(tile) if number % 2 == 0 else tile.num_rows - session.num_coarse(tile)
-        for number in parts
-        for tile in [session.tile_of(number)]
-    ]
-    if sum(counts) > MAX_ROWS and len(parts) > 1:
-        raise InputError(f"parts: {sum(counts):,} Gaussians at once, and up to {MAX_ROWS:,} are sent: ask for fewer")
+    count = sum(map(session.num_rows_of, parts))
+    if count > MAX_ROWS and len(parts) > 1:
+        raise InputError(f"parts: {count:,} Gaussians at once, and up to {MAX_ROWS:,} are sent: ask for fewer")
     return session

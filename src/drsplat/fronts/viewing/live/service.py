@@ -8,16 +8,16 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from typing import Any
-from urllib.parse import parse_qs
 
 import uvicorn
+from starlette.requests import Request
 
 from ....base.arrays import Vector3
 from ....errors import DrSplatError, InputError
 from ...serving.connections import TIMEOUTS_S, Stage, bounded, run_server
-from ...serving.guards import Answer, App, Body, DoorKeeper, Limits, Message, Receive, Send, refused_length
+from ...serving.guards import Answer, App, DoorKeeper, Limits, Message, Receive, Send
 from ...serving.listening import (
     ALL_INTERFACES,
     TakenError,
@@ -29,9 +29,8 @@ from ...serving.listening import (
     is_secret,
     names_of,
 )
-from ...serving.replies import BusyError
 from ..session import Session
-from .app import create_app
+from .app import Viewer, create_app
 from .shared import Shared
 from .turns import Lanes
 
@@ -77,14 +76,14 @@ class Gate(DoorKeeper):
     """
 
     def __init__(self, app: App, host: str, port: int, token: str | None = None) -> None:
-        super().__init__(app, None, names_of(host))
-        self.token, self.cookie = token, f"drsplat-{port}"
-        self.large, self.limits = 0, Limits(large_bodies=4)
+        super().__init__(app, token, names_of(host), Limits(large_bodies=4))
+        self.cookie = f"drsplat-{port}"
         self._paces: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
-            return await self.app(scope, receive, send)
+            await self.app(scope, receive, send)
+            return
 
         async def safe(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -92,38 +91,32 @@ class Gate(DoorKeeper):
             await send(message)
 
         answer = Answer(safe)
-        if await self._turned_away(scope, answer) or await self._led_home(scope, answer):
-            return None
-        most = MAX_BODY_BYTES.get(scope["path"], MAX_ACT_BYTES)
-        if await refused_length(scope, most, answer):
-            return None
-        body = Body(receive, self, most)
-        try:
-            await self.app(scope, body, answer)
-        finally:
-            self.large -= body.is_large
+        if not (await self.turned_away(scope, answer) or await self._led_home(scope, answer)):
+            await self.admit(scope, receive, answer, MAX_BODY_BYTES.get(scope["path"], MAX_ACT_BYTES))
 
-    async def _turned_away(self, scope: Message, answer: Answer) -> bool:
-        """Refuse a request that may not come in; returns whether it was."""
-        headers = _Headers(scope)
-        if headers.host is None or not is_addressed(headers.host, self.hosts):
+    async def turned_away(self, scope: Message, answer: Answer) -> bool:
+        hosts, kind = _headers(scope, b"host"), (*_headers(scope, b"content-type"), "")[0]
+        if len(hosts) != 1 or not is_addressed(hosts[0], self.hosts):
             called = ", ".join(self.hosts or ("its name or address",))
             await answer.refuse(403, "wrong host", f"this viewer is called: {called}")
-        elif not _is_from_here(scope, headers, headers.host):
+        elif not _is_from_here(scope, hosts[0]):
             await answer.refuse(403, "other page", "other pages may not use this viewer")
-        elif not self._is_known(scope, headers):
+        elif not self._is_known(scope):
             await answer.refuse(401, "unauthorised", "open the address that drsplat view printed, with its token")
         elif not self._is_paced(scope):
             await answer.refuse(429, "too fast", f"{REQUESTS_PER_SECOND:g} requests a second are answered: come again")
-        elif scope["method"] == "POST" and headers.content_type not in CONTENT_TYPES:
+        elif scope["method"] == "POST" and kind.partition(";")[0].strip().lower() not in CONTENT_TYPES:
             await answer.refuse(415, "media type", f"expected the header Content-Type: {' or '.join(CONTENT_TYPES)}")
         return bool(answer.status)
 
-    def _is_known(self, scope: Message, headers: "_Headers") -> bool:
-        if self.token is None:
+    def _is_known(self, scope: Message) -> bool:
+        if self.key is None:
             return True
-        given = [*(_query(scope).get("token", []) if scope["path"] == "/" else []), *headers.cookies(self.cookie)]
-        return any(is_secret(one, self.token) for one in given)
+        request = Request(scope)
+        given = [request.cookies.get(self.cookie, "")]
+        if scope["path"] == "/":
+            given += request.query_params.getlist("token")
+        return any(is_secret(one, self.key) for one in given)
 
     def _is_paced(self, scope: Message) -> bool:
         """Return whether an address has not asked too often; what it may ask at once comes back with time."""
@@ -141,70 +134,41 @@ class Gate(DoorKeeper):
         if scope["path"] != "/" or not scope["query_string"]:
             return False
         headers = [(b"location", b"/"), (b"content-length", b"0")]
-        if self.token is not None:
-            kept = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+        if self.key is not None:
+            kept = f"{self.cookie}={self.key}; Path=/; HttpOnly; SameSite=Strict"
             headers.append((b"set-cookie", kept.encode()))
         await answer({"type": "http.response.start", "status": 303, "headers": headers})
         await answer({"type": "http.response.body", "body": b""})
         return True
 
 
-class _Headers:
-    """Headers of a request that say where it comes from."""
-
-    def __init__(self, scope: Message) -> None:
-        self._pairs: list[tuple[bytes, bytes]] = list(scope["headers"])
-
-    def every(self, name: bytes) -> list[str]:
-        return [value.decode("latin-1") for key, value in self._pairs if key == name]
-
-    @property
-    def host(self) -> str | None:
-        """None where there is none, or more than one."""
-        hosts = self.every(b"host")
-        return hosts[0] if len(hosts) == 1 else None
-
-    @property
-    def content_type(self) -> str:
-        return (self.every(b"content-type") or [""])[0].partition(";")[0].strip().lower()
-
-    def cookies(self, name: str) -> list[str]:
-        pairs = "; ".join(self.every(b"cookie")).split(";")
-        parts = (pair.strip().partition("=") for pair in pairs)
-        return [value for key, _, value in parts if key == name]
+def _headers(scope: Message, name: bytes) -> list[str]:
+    """Return all values of a header of a request."""
+    return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
 
 
-def _is_from_here(scope: Message, headers: _Headers, host: str) -> bool:
+def _is_from_here(scope: Message, host: str) -> bool:
     """Return whether a request comes from the viewer's own page, or, to look, from no page.
 
     Browsers say in `Sec-Fetch-Site` where a request comes from that has no `Origin`, such as that of a picture in a
     page; a link from elsewhere may lead to the page itself. What changes something has to say that it is ours.
     """
-    origins, sites = headers.every(b"origin"), headers.every(b"sec-fetch-site")
+    origins, sites = _headers(scope, b"origin"), _headers(scope, b"sec-fetch-site")
     if not all(is_own_page(origin, host) for origin in origins):
         return False
     own_site = all(site in ("same-origin", "none") for site in sites)
     if scope["method"] in ("GET", "HEAD"):
-        return own_site or (scope["path"] == "/" and headers.every(b"sec-fetch-mode") == ["navigate"])
+        return own_site or (scope["path"] == "/" and _headers(scope, b"sec-fetch-mode") == ["navigate"])
     return own_site and bool(origins or sites)
-
-
-def _query(scope: Message) -> dict[str, list[str]]:
-    try:
-        return parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=8)
-    except ValueError:
-        return {}
 
 
 class _Server(uvicorn.Server):
     """A server that ends the streams of events first: they would never end by themselves."""
 
-    def __init__(self, config: uvicorn.Config, app: Any) -> None:
-        super().__init__(config)
-        self.app = app
+    viewer: Viewer
 
     async def shutdown(self, sockets: Any = None) -> None:
-        self.app.state.viewer.events.close()
+        self.viewer.events.close()
         await super().shutdown(sockets)
 
 
@@ -224,22 +188,23 @@ class Service:
         app = create_app(shared, self.lanes)
         gate = Gate(app, host, listening.getsockname()[1], self.token)
         options: dict[str, Any] = {"log_level": "error", "access_log": False, "timeout_graceful_shutdown": GRACE_S}
-        self._server = _Server(bounded(gate, VIEWER_TIMEOUTS_S, **options), app)
+        self._server = _Server(bounded(gate, VIEWER_TIMEOUTS_S, **options))
+        self._server.viewer = app.state.viewer
 
     def show(self, session: Session, up: Vector3 | None = None, text: str = "") -> None:
         """Show a session, and ask it something; before anybody has come."""
         self.shared.show(session, up)
         self.shared.note()
-        with suppress(BusyError):
-            if text:
-                self.lanes.quick.submit(lambda: self._begin(text))
-            self._server.app.state.viewer.prepare()
 
-    def _begin(self, text: str) -> None:
-        try:
-            self.shared.begin(text)
-        except DrSplatError as error:  # of who started the viewer, who reads the terminal
-            print(f"warning: {error}", file=sys.stderr)
+        def ask() -> None:
+            try:
+                self.shared.begin(text)
+            except DrSplatError as error:  # of who started the viewer, who reads the terminal
+                print(f"warning: {error}", file=sys.stderr)
+
+        if text:
+            self.lanes.quick.submit(ask)
+        self._server.viewer.prepare()
 
     def run(self) -> None:
         """Answer until SIGINT or SIGTERM."""

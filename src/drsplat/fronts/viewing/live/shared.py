@@ -19,10 +19,10 @@ from ...serving.scene_folder import without_paths
 from ..client import printable
 from ..saving import Saves
 from ..session import Session
+from ..stage import Stage
 from ..tiled import session_of
 from . import arrays
 from .arrays import Packed, Rows
-from .stage import Stage
 from .state import MAX_SENTENCE_CHARACTERS, film_formats, header_of, state_of
 from .turns import Visit, Visits
 from .uploads import Uploads, root_of
@@ -35,24 +35,6 @@ CLOSED_STATE = {
     "classes": None, "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
 }  # fmt: skip
 """The state where no scene is open."""
-
-
-@dataclass(eq=False)
-class Shelf:
-    """opened: name and field's fingerprint of the scene that is open."""
-
-    catalogue: Catalogue
-    opened: tuple[str, str] = ("", "")
-
-
-def _entry(number: int, entry: Entry) -> Document:
-    return {
-        "number": number,
-        "title": printable(entry.title, 60),
-        "scene": printable(entry.scene, 60),
-        "score": round(entry.score, 4),
-        "picture": entry.thumbnail is not None,
-    }
 
 
 @dataclass
@@ -68,21 +50,23 @@ class Counters:
 class Shared:
     """Not safe for several threads at once.
 
-    saves: where files go. open_path: opens a scene's file or folder. budget, words: as of `Session`. shelf: the
-    catalogue, None for none. tell: is called after each change, with the visit that alone it concerns, None for all.
-    home: the session that a browser finds when it comes. visit: whose turn it is.
+    saves: where files go. open_path: opens a scene's file or folder. budget, words: as of `Session`. catalogue: to
+    search, None for none. tell: is called after each change, with the visit that alone it concerns, None for all.
+    home: the session that a browser finds when it comes. entry: name and field's fingerprint of the catalogue's scene
+    that is open. visit: whose turn it is.
     """
 
     saves: Saves
     open_path: Callable[[Path], Scene]
     budget: int = 1_000_000
     words: Sequence[str] | None = None
-    shelf: Shelf | None = None
+    catalogue: Catalogue | None = None
     uploads: Uploads = field(default_factory=Uploads)
     tell: Callable[[Visit | None], None] = lambda _: None
     counters: Counters = field(default_factory=Counters)
     visits: Visits = field(default_factory=Visits)
     home: Session | None = None
+    entry: tuple[str, str] = ("", "")
     visit: Visit = field(init=False)
     _stage: Stage | None = None
     _told: Sequence[Any] = ()
@@ -103,21 +87,49 @@ class Shared:
         """Raises: InputError: no scene is open."""
         return self.stage.session
 
-    @property
-    def needed_shelf(self) -> Shelf:
-        """Raises: InputError: no catalogue was opened."""
-        if self.shelf is None:
-            raise InputError("there is no catalogue here")
-        return self.shelf
-
     def without_folders(self, message: str) -> str:
         """Return a message for others than the one who started the viewer: it names no folder of this machine."""
-        scene = None if self._stage is None else self._stage.session.scene
-        own = [] if scene is None or scene.path is None else [scene.path.parent, scene.path.resolve().parent]
+        path = None if self._stage is None else self.session.scene.path
+        own = [] if path is None else [path.parent, path.resolve().parent]
         saves = [] if self.saves.folder is None else [self.saves.folder]
         return FOLDERS.sub("", without_paths(message, [*self.uploads.roots, *own, *saves]))
 
-    # --- whose turn it is ---
+    # --- the catalogue ---
+
+    @property
+    def _needed_catalogue(self) -> Catalogue:
+        if self.catalogue is None:
+            raise InputError("there is no catalogue here")
+        return self.catalogue
+
+    def search(self, text: str) -> Document:
+        """Search the catalogue. Raises: InputError: none is open, no words, or such as its encoder does not know."""
+        answer = self._needed_catalogue.answer(text, top=MAX_ENTRIES)
+        self.visit.entries = answer.entries
+        matches = counted(len(answer.entries), "match", "matches")
+        entries = [
+            {"number": number, "title": printable(entry.title, 60), "scene": printable(entry.scene, 60),
+             "score": round(entry.score, 4), "picture": entry.thumbnail is not None}
+            for number, entry in enumerate(answer.entries)
+        ]  # fmt: skip
+        return {"summary": f"{matches} by {answer.measure}, threshold {answer.threshold:.3g}", "entries": entries}
+
+    def _found(self, number: int) -> tuple[Catalogue, Entry]:
+        """Return an entry of the catalogue that was found last. Raises: InputError: no such entry, or no catalogue."""
+        catalogue, entries = self._needed_catalogue, self.visit.entries
+        if not 0 <= number < len(entries):
+            raise InputError(f"there is no entry {number} of {len(entries)}: search the catalogue first")
+        return catalogue, entries[number]
+
+    def entry_picture(self, number: int) -> bytes:
+        """Return the thumbnail of an entry as JPEG. Raises: InputError: it has none, or there is no such entry."""
+        entry = self._found(number)[1]
+        if entry.thumbnail is None:
+            raise InputError(f"entry {number} has no picture")
+        entry.picture()  # or the error that says that it is damaged
+        return entry.thumbnail
+
+    # --- changing ---
 
     def enter(self, visit: Visit) -> None:
         """Let a browser have its turn: what is asked and found from now on is its own.
@@ -130,23 +142,6 @@ class Shared:
         if self._stage is not None and visit.session is not None:
             self._stage.session = visit.session
         self._look()
-
-    def entry(self, number: int) -> Entry:
-        """Return an entry of the catalogue that was found last. Raises: InputError: no such entry, or no catalogue."""
-        _, entries = self.needed_shelf, self.visit.entries
-        if not 0 <= number < len(entries):
-            raise InputError(f"there is no entry {number} of {len(entries)}: search the catalogue first")
-        return entries[number]
-
-    def entry_picture(self, number: int) -> bytes:
-        """Return the thumbnail of an entry as JPEG. Raises: InputError: it has none; as `entry`."""
-        entry = self.entry(number)
-        if entry.thumbnail is None:
-            raise InputError(f"entry {number} has no picture")
-        entry.picture()  # or the error that says that it is damaged
-        return entry.thumbnail
-
-    # --- changing ---
 
     def show(self, session: Session, up: Vector3 | None = None) -> None:
         """Show another session in place of the one that is open, to all."""
@@ -161,33 +156,20 @@ class Shared:
             self.home.ask(text)
         self.visit.scene = -1  # so that it finds this, too
 
-    def search(self, text: str) -> Document:
-        """Search the catalogue. Raises: InputError: none is open, no words, or such as its encoder does not know."""
-        answer = self.needed_shelf.catalogue.answer(text, top=MAX_ENTRIES)
-        self.visit.entries = answer.entries
-        matches = counted(len(answer.entries), "match", "matches")
-        summary = f"{matches} by {answer.measure}, threshold {answer.threshold:.3g}"
-        return {"summary": summary, "entries": [_entry(*one) for one in enumerate(answer.entries)]}
-
     def prepare(self) -> Callable[[], None]:
         """Find names of objects and words to suggest, which may load a model, beside the session.
 
         Returns: what shows them, in the session's thread.
         """
-        stage = self._stage
-        take = None if stage is None else stage.prepare()
+        take = None if self._stage is None else self._stage.prepare()
 
         def show() -> None:
             if take is not None:
                 take()
-            self.renew_header()
+            self.counters.header += 1
             self.note()
 
         return show
-
-    def renew_header(self) -> None:
-        """Count that the header is another one, as after an object was named."""
-        self.counters.header += 1
 
     def note(self) -> None:
         """Count what has changed since the last time, and tell those whom it concerns."""
@@ -195,31 +177,43 @@ class Shared:
         self._look()
         common: list[Any] = [self.counters.scene, self.counters.header]
         if self._stage is not None:
-            session = self._stage.session
-            self.visit.num_bytes = session.num_bytes
-            common += [session.edits.listed, session.edits.annotations]
+            self.visit.num_bytes = self.session.num_bytes
+            common += [self.session.edits.listed, self.session.edits.annotations]
         self.tell(self.visit if list(map(id, common)) == list(map(id, self._told)) else None)
         self._told = common
 
     def _look(self) -> None:
         """Count what has changed for whose turn it is, others' edits among it."""
-        visit, seen = self.visit, self._seen_now()
+        visit, seen = self.visit, ()
+        if self._stage is not None:
+            session = self.session
+            seen = session.edits.listed, session.time, session.results, session.segmentation
         changed = [one is not other for one, other in zip_longest(seen, visit.seen)]
         visit.geometry += any(changed[:2])
         visit.paint += any(changed)
         visit.seen = seen
 
-    def _seen_now(self) -> tuple[Any, ...]:
-        if self._stage is None:
-            return ()
-        session = self._stage.session
-        return session.edits.listed, session.time, session.results, session.segmentation
-
     # --- what a browser is told ---
 
     def header(self) -> Document:
+        session = None if self._stage is None else self.session
+        is_open, askable = session is not None, session is not None and session.is_askable
+        objects = session is not None and session.has_objects
+        can = {
+            "ask": askable,
+            "ask_picture": askable,
+            "objects": objects,
+            "name": session is not None and objects and session.can_name,
+            "edit": session is not None and session.scene.tiles is None,
+            "time": session is not None and session.scene.motion is not None,
+            "photos": session is not None and bool(session.scene.views),
+            "save_dir": self.saves.folder is not None,
+            "catalogue": self.catalogue is not None,
+            "film_formats": list(film_formats()),
+            "open": True,
+        }
         counters = {"scene": self.counters.scene, "header": self.counters.header}
-        return counters | {"can": self._can()} | ({} if self._stage is None else header_of(self._stage))
+        return counters | {"can": can} | (header_of(self.stage) if is_open else {})
 
     def state(self, said: str | None = None) -> Document:
         """Return the state of whose turn it is. said: of an act; None: what the session says of its answers."""
@@ -230,130 +224,106 @@ class Shared:
         own = {"geometry": visit.geometry, "paint": visit.paint, "message": "\n".join(lines)}
         return vars(self.counters) | own | (CLOSED_STATE if stage is None else state_of(stage))
 
-    def _can(self) -> Document:
-        session = None if self._stage is None else self._stage.session
-        askable = session is not None and session.is_askable
-        return {
-            "ask": askable,
-            "ask_picture": askable,
-            "objects": session is not None and session.has_objects,
-            "name": session is not None and session.has_objects and session.can_name,
-            "edit": session is not None and session.scene.tiles is None,
-            "time": session is not None and session.scene.motion is not None,
-            "photos": session is not None and bool(session.scene.views),
-            "save_dir": self.saves.folder is not None,
-            "catalogue": self.shelf is not None,
-            "film_formats": list(film_formats()),
-            "open": True,
-        }
-
     def splats(self, begin: int = 0) -> Packed:
         """Return a piece of what is drawn, from a row on. Raises: InputError: there is no such row."""
-        stage = self._stage
-        is_empty = stage is None or stage.session.scene.tiles is not None  # whose parts are asked for
-        return arrays.nothing() if is_empty else arrays.splats(self.stage, begin)
+        return arrays.splats(self.stage, begin) if self._has_rows else arrays.nothing()
 
     def paint(self, begin: int = 0) -> Packed:
         """Return what the same rows answer. Raises: as `splats`."""
-        return self._piece("paint", (self.visit.geometry, self.visit.paint), arrays.paint, begin)
+        return self._piece("paint", arrays.paint, begin)
 
     def colors(self, mode: str, begin: int = 0) -> Packed:
         """Return the colours of the same rows. Raises: as `splats`; InputError: another mode."""
-        key = self.visit.geometry, self.visit.paint, mode
-        return self._piece("colors", key, lambda stage: arrays.colors(stage, mode), begin)
+        return self._piece("colors", lambda stage: arrays.colors(stage, mode), begin, mode)
 
-    def _piece(self, name: str, version: object, make: Callable[[Stage], Rows], begin: int) -> Packed:
+    @property
+    def _has_rows(self) -> bool:
+        """True if a scene is open that is not in tiles, whose parts are asked for."""
+        return self._stage is not None and self.session.scene.tiles is None
+
+    def _piece(self, name: str, make: Callable[[Stage], Rows], begin: int, mode: str = "") -> Packed:
         """Return a piece of arrays as they were made for the piece before it, where nothing has changed since."""
-        if self._stage is None or self._stage.session.scene.tiles is not None:
+        if not self._has_rows:
             return arrays.nothing()
+        version = self.visit.geometry, self.visit.paint, mode
         known = self._rows.pop((self.visit, name), None)
         if known is None or known[0] != version:
-            known = version, make(self._stage)
+            known = version, make(self.stage)
         self._rows[self.visit, name] = known
         if len(self._rows) > MAX_PAINTED:
             self._rows.popitem(last=False)
         return arrays.piece(known[1], begin)
 
+    # --- opening ---
 
-def open_batch(shared: Shared, name: str) -> Callable[[], Callable[[], str]]:
-    """Return what opens the scene of a batch of files, which returns what shows it.
+    def open_batch(self, name: str) -> Callable[[], Callable[[], str]]:
+        """Return what opens the scene of a batch of files, which returns what shows it and says so.
 
-    On failure what was open stays, and the files go. Edits are kept in memory: a stranger's list of edits could name
-    files of this machine.
+        On failure what was open stays, and the files go. Edits are kept in memory: a stranger's list of edits could
+        name files of this machine.
 
-    Raises: InputError: no such batch. FormatError, MismatchError: as the readers of scenes.
-    """
-    batch = shared.uploads.batch(name)
+        Raises: InputError: no such batch. FormatError, MismatchError: as the readers of scenes.
+        """
+        folder = self.uploads.batch(name).folder
 
-    def work() -> Callable[[], str]:
-        try:
-            scene = shared.open_path(root_of(batch.folder))
-            scene.views = tuple(confined(view, batch.folder) for view in scene.views)  # type: ignore[misc]
-            session = session_of(scene, shared.budget, edits_kept=False)
+        def work() -> Callable[[], str]:
+            try:
+                scene = self.open_path(root_of(folder))
+                scene.views = tuple(confined(view, folder) for view in scene.views)  # type: ignore[misc]
+                session = session_of(scene, self.budget, edits_kept=False)
+                _ = session.shown
+            except BaseException as error:
+                self.uploads.drop(name)
+                if isinstance(error, DrSplatError):
+                    error.args = (without_paths(str(error), [folder]),)
+                raise
+            return lambda: shown(session)
+
+        def shown(session: Session) -> str:
+            try:
+                self.show(session)
+            except BaseException:
+                self.uploads.drop(name)
+                raise
+            self.uploads.keep_opened(name)
+            self.entry = ("", "")
+            return f"opened {printable(session.scene.name, 60)}: {counted(len(session.scene.rows), 'Gaussian')}"
+
+        return work
+
+    def open_entry(self, number: int) -> Callable[[], Callable[[], str]]:
+        """Return what opens the scene of an entry of the catalogue's last answer, and in turn shows its object.
+
+        Raises: InputError: no such entry, or its scene is no longer there.
+        """
+        catalogue, entry = self._found(number)
+
+        def work() -> Callable[[], str]:
+            if self.entry == (entry.scene, entry.field):
+                return lambda: shown(None)
+            scene = catalogue.scene(entry.scene)
+            _ = scene.rows  # or the error that says what is missing
+            session = session_of(scene, self.budget, self.words)
             _ = session.shown
-        except BaseException as error:
-            shared.uploads.drop(name)
-            if isinstance(error, DrSplatError):
-                error.args = (without_paths(str(error), [batch.folder]),)
-            raise
-        return lambda: _show_batch(shared, name, session)
+            return lambda: shown(session)
 
-    return work
+        def shown(session: Session | None) -> str:
+            if session is not None:
+                self.show(session)
+                self.uploads.keep_opened(None)
+                self.entry = entry.scene, entry.field
+            title = f"{printable(entry.title, 60)} of '{printable(entry.scene, 60)}'"
+            field = self.session.scene.field
+            if field.fingerprint != entry.field or field.objects is None:
+                return f"{title}, which has changed since it was added"
+            self.session.choose_object(entry.object_id)
+            return title
 
-
-def _show_batch(shared: Shared, name: str, session: Session) -> str:
-    """Show a scene that was sent, and return what is said of it."""
-    scene = session.scene
-    try:
-        shared.show(session)
-    except BaseException:
-        shared.uploads.drop(name)
-        raise
-    shared.uploads.keep_opened(name)
-    if shared.shelf is not None:
-        shared.shelf.opened = ("", "")
-    return f"opened {printable(scene.name, 60)}: {counted(len(scene.rows), 'Gaussian')}"
+        return work
 
 
 def confined(view: View, folder: Path) -> View:
     """Return a view without the photo and the mask that lie outside of a folder: who sent it may have named any."""
-    inside = [
-        path is None or path.resolve().is_relative_to(folder.resolve()) for path in (view.image_path, view.mask_path)
-    ]
-    return view if all(inside) else replace(view, image_path=None, mask_path=None)
-
-
-def open_entry(shared: Shared, number: int) -> Callable[[], Callable[[], str]]:
-    """Return what opens the scene of an entry of the catalogue's last answer, which returns what shows its object.
-
-    Raises: InputError: no such entry, or its scene is no longer there.
-    """
-    shelf, entry = shared.needed_shelf, shared.entry(number)
-
-    def work() -> Callable[[], str]:
-        is_open = shelf.opened == (entry.scene, entry.field)
-        session = None if is_open else _session(shared, shelf.catalogue.scene(entry.scene))
-        return lambda: _show_entry(shared, entry, session)
-
-    return work
-
-
-def _show_entry(shared: Shared, entry: Entry, session: Session | None) -> str:
-    """Select the object of an entry and return what is said of it. session: of its scene, None where it is open."""
-    title, name = printable(entry.title, 60), printable(entry.scene, 60)
-    if session is not None:
-        shared.show(session)
-        shared.uploads.keep_opened(None)
-        shared.needed_shelf.opened = (entry.scene, entry.field)
-    field = shared.session.scene.field
-    if field.fingerprint != entry.field or field.objects is None:
-        return f"{title} of '{name}', which has changed since it was added"
-    shared.session.choose_object(entry.object_id)
-    return f"{title} of '{name}'"
-
-
-def _session(shared: Shared, scene: Scene) -> Session:
-    _ = scene.rows  # or the error that says what is missing
-    session = session_of(scene, shared.budget, shared.words)
-    _ = session.shown
-    return session
+    paths = [path for path in (view.image_path, view.mask_path) if path is not None]
+    inside = all(path.resolve().is_relative_to(folder.resolve()) for path in paths)
+    return view if inside else replace(view, image_path=None, mask_path=None)
