@@ -55,7 +55,7 @@ TWO_COUNTS = (b"TOKENS", b"PATHS")
 def openusd() -> Any:
     """Return the package pxr. Raises: MissingExtraError: it is not installed."""
     try:
-        from pxr import Gf, Sdf, Tf, UsdUtils, Vt  # noqa: F401
+        from pxr import Sdf, Tf, Vt  # noqa: F401
     except ModuleNotFoundError:
         raise MissingExtraError(f"USD needs OpenUSD's own library: {pip_install('usd')}") from None
     import pxr
@@ -202,8 +202,7 @@ def _splat(prim: Any, space: str) -> Gaussians:
 
 def _rows(prim: Any, name: str, width: int) -> Array:
     """Return an array of float32, or of half precision where there is no other."""
-    values = (_value(prim, one) for one in (name, f"{name}h"))
-    value = next((value for value in values if value is not None), None)
+    value = _value(prim, name if _value(prim, name) is not None else f"{name}h")
     if value is None and any(
         one in prim.attributes and prim.attributes[one].HasInfo("timeSamples") for one in (name, f"{name}h")
     ):
