@@ -19,15 +19,11 @@ from drsplat.formats.known import write_scene
 from drsplat.formats.usd import read_usd
 from drsplat.formats.usd_writing import prim_name
 from drsplat.scene.gaussians import Gaussians
-from drsplat.scene.labelled import Annotation, LabelledScene, Thing
+from drsplat.scene.labelled import LabelledScene, Thing
+from labelled_scenes import NAMES, TURNED, labelled
 from refusing import malformed, refused
 from scene_files import ply_bytes, ply_columns, random_gaussians
 
-TURNED = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
-NAMES = (
-    'red "mug" \\ x', "<b>é 🦊</b>", "../a/b\\c", "line\none\ttwo\x01\x7f", "7 up", "'''\"\"\"", "日本", "red mug",
-    "red mug", "# no comment", "a" * 300,
-)  # fmt: skip
 needs_library = pytest.mark.usefixtures("library")
 each_suffix = pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
 
@@ -35,28 +31,6 @@ each_suffix = pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
 @pytest.fixture
 def library():
     return pytest.importorskip("pxr")
-
-
-def labelled(count: int = 40, names: tuple[str, ...] = NAMES) -> LabelledScene:
-    """Make a scene with everything that a file can carry, none of it at zero or upright."""
-    rng = default_rng(0)
-    gaussians = replace(random_gaussians(rng, count), origin=np.array([5e5, 4e6, 100.25]))
-    unit = np.float32([0.6, 0.8])
-    things = tuple(
-        Thing(
-            name, number / 100, np.array([number, 1 / 3, -2.0]), TURNED, np.array([1.0, 2.0, 0.1]), number % 2 - 1, unit
-        )
-        for number, name in enumerate(names)
-    )
-    notes = (
-        Annotation.at("a point", [1, 2, 3]),
-        Annotation.box("a box", np.array([1.0, 2, 3]), TURNED, np.array([1.0, 2, 3])),
-    )
-    group = Thing("dishes", 0.75, np.ones(3), np.eye(3), np.ones(3))
-    return LabelledScene(
-        gaussians, "room é", things, (group,), (np.arange(count) % (len(names) + 1) - 1).astype(np.int32), "red mug",
-        rng.uniform(size=count).astype(np.float32), things[:1], notes, (0.6, 0.0, 0.8), "an encoder",
-    )  # fmt: skip
 
 
 def assert_equal(read: Gaussians, written: Gaussians, atol: float = 2e-7) -> None:
