@@ -43,8 +43,7 @@ _QUOTED = re.compile(  # text, paths and comments, whose brackets are none
     rb"|@@@.*?(?:@@@|\Z)|@[^@\n]*+@?|#[^\n]*+|//[^\n]*+|/\*.*?(?:\*/|\Z)",
     re.DOTALL,
 )
-_STEPS = np.zeros(256, np.int64)
-_STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
+_OPENING, _CLOSING = np.frombuffer(b"([{", np.uint8), np.frombuffer(b")]}", np.uint8)
 _CHUNK_BYTES = 4 << 20  # whose brackets are counted at once
 HEAD_BYTES, ENTRY_BYTES = 24, 32
 MAX_INTEGERS_PER_BYTE = 4 * 255  # LZ4 makes at most 255 bytes of one, with four integers in each
@@ -291,7 +290,8 @@ def _refuse_deep_brackets(text: bytes) -> None:
     """Refuse brackets in brackets, at which the library's parser would run out of its stack. Raises: FormatError."""
     bare, depth = np.frombuffer(_QUOTED.sub(b"", text), np.uint8), 0
     for begin in range(0, len(bare), _CHUNK_BYTES):
-        depths = depth + np.cumsum(_STEPS[bare[begin : begin + _CHUNK_BYTES]])
+        chunk = bare[begin : begin + _CHUNK_BYTES]
+        depths = depth + np.cumsum(np.isin(chunk, _OPENING).astype(np.int64) - np.isin(chunk, _CLOSING))
         if depths.max() > MAX_NESTING:
             raise FormatError(f"expected brackets in brackets up to {MAX_NESTING} deep")
         depth = depths[-1]

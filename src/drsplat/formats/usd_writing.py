@@ -32,6 +32,14 @@ _ARRAYS = {
     "point3f[]": "Vec3fArray", "float3[]": "Vec3fArray", "quatf[]": "QuatfArray", "float[]": "FloatArray",
     "int[]": "IntArray",
 }  # fmt: skip
+_HEAD = f"""#usda 1.0
+(
+    defaultPrim = "{ROOT}"
+    doc = "written by drsplat"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+"""
 _TO_XYZW = [1, 2, 3, 0]  # of quaternions, whose real part the library keeps last
 
 
@@ -107,14 +115,7 @@ def _layer_text(scene: LabelledScene, arrays: Iterable[str]) -> str:
         _scope(name, [_thing_text(kind, *one) for one in enumerate(some)]) for name, (kind, some) in kinds.items()
     ]
     notes = _scope("annotations", [_annotation_text(*each) for each in enumerate(scene.annotations)])
-    return f"""#usda 1.0
-(
-    defaultPrim = "{ROOT}"
-    doc = "written by drsplat"
-    metersPerUnit = 1
-    upAxis = "Y"
-)
-
+    return f"""{_HEAD}
 def Xform "{ROOT}" (
     displayName = {_quoted(scene.title)}
     kind = "component"
