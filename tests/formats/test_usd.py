@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -101,7 +102,7 @@ def test_openusd_reads_what_we_write(tmp_path):
     assert splat.GetRadianceSphericalHarmonicsDegreeAttr().Get() == 3
     numbers = UsdGeom.PrimvarsAPI(splat).GetPrimvar("object_id")
     assert numbers.GetInterpolation() == "vertex"
-    assert_array_equal(numbers.Get(), scene.object_of)
+    assert_array_equal(numbers.Get(), scene.object_numbers)
     turn = UsdGeom.Xformable(splat).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
     assert_allclose(turn.TransformDir(Gf.Vec3d(*scene.up)), [0, 1, 0], atol=1e-12)
     world = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/scene"))
@@ -362,11 +363,31 @@ def test_inspect_shows_the_objects(tmp_path, capsys):
     assert answer["fingerprint"] == labelled().gaussians.fingerprint
 
 
-def test_without_the_library_the_error_says_what_to_install(monkeypatch, tmp_path):
+def test_without_the_library_text_is_written_and_the_error_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pxr", None)
-    for start in (b"PXR-USDC", b"#usda 1.0\n"):
-        (tmp_path / "in.usd").write_bytes(start + bytes(80))
+    write_scene(tmp_path / "out.usda", labelled())
+    (tmp_path / "in.usdc").write_bytes(b"PXR-USDC" + bytes(80))
+    for name in ("out.usda", "in.usdc"):
         with refused(r"USD needs .*\[usd\]", MissingExtraError):
-            read_gaussians(tmp_path / "in.usd")
+            read_gaussians(tmp_path / name)
     with refused(r"USD needs .*\[usd\]", MissingExtraError):
-        write_scene(tmp_path / "out.usda", labelled())
+        write_scene(tmp_path / "out.usdz", labelled())
+
+
+@pytest.mark.slow
+def test_text_takes_little_memory_to_write_and_to_read(library, tmp_path):
+    """It is made and read some thousand rows at a time; the library alone would take a dozen times the text."""
+    path, scene = tmp_path / "out.usda", LabelledScene(random_gaussians(default_rng(0), 15_000))
+    peaks = []
+    for work in (lambda: write_scene(path, scene), lambda: assert_equal(read_gaussians(path), scene.gaussians)):
+        tracemalloc.start()
+        work()
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    size = path.stat().st_size
+    assert size > 10 << 20
+    assert peaks[0] < size / 2
+    assert peaks[1] < 6 * size
+    path.write_bytes(path.read_bytes().replace(b"), (", b") (", 1000))
+    with malformed("expected numbers with commas between them"):
+        read_gaussians(path)

@@ -15,8 +15,9 @@ pxr/usd/sdf/crateFile.cpp, which is all that describes `.usdc`.
 
 import re
 import struct
+import warnings
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,10 @@ _QUOTED = re.compile(  # text, paths and comments, whose brackets are none
     rb"|@@@.*?(?:@@@|\Z)|@[^@\n]*+@?|#[^\n]*+|//[^\n]*+|/\*.*?(?:\*/|\Z)",
     re.DOTALL,
 )
+_LARGE = re.compile(  # an array of numbers, of which the library would take a dozen times its text
+    rb"(\w++)(\[\]\s++[\w:]++\s*+=\s*+)\[([^][\"'@<{#]{262144,}+)\](\s*+\()?+"
+)
+_PLACE = "displayGroup"  # metadatum that says which of them stood there
 _OPENING, _CLOSING = np.frombuffer(b"([{", np.uint8), np.frombuffer(b")]}", np.uint8)
 _CHUNK_BYTES = 4 << 20  # whose brackets are counted at once
 HEAD_BYTES, ENTRY_BYTES = 24, 32
@@ -98,18 +103,19 @@ def parse_usd(content: memoryview, path: Path | None = None) -> LabelledScene:
     if start != CRATE and not start.startswith(TEXT):
         raise FormatError(f"no USD begins with {start[:5]!r}: expected text (#usda), binary (PXR-USDC) or a .usdz")
     pxr = openusd()
+    arrays: Arrays = {}
     try:
         if start == CRATE:
             refuse_false_counts(content)
             layer = pxr.Sdf.Layer.OpenAsAnonymous(str(path))
         else:
-            text = bytes(content)
+            text, arrays = _without_large_arrays(content)
             _refuse_deep_brackets(text)
             layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
             layer.ImportFromString(text.decode())
         if layer is None:
             raise FormatError("OpenUSD does not read it")
-        return _scene(pxr, layer)
+        return _scene(pxr, layer, arrays)
     except pxr.Tf.ErrorException as error:  # also of a value that is unpacked only when somebody asks for it
         message = str(error).rsplit(" : ", 1)[-1].strip("'\n\t ")[:200]  # without the place in its source code
         raise FormatError(f"OpenUSD does not read it: {message}") from None
@@ -136,9 +142,9 @@ def _walk(pxr: Any, layer: Any) -> Iterator[tuple[Any, str]]:
             waiting += [(child, space, depth + 1) for child in reversed(list(prim.nameChildren))]
 
 
-def _scene(pxr: Any, layer: Any) -> LabelledScene:
+def _scene(pxr: Any, layer: Any, arrays: Arrays) -> LabelledScene:
     prims = list(_walk(pxr, layer))
-    gaussians = _gaussians(prims)
+    gaussians = _gaussians(prims, arrays)
     root = next((prim for prim, _ in prims if "drsplat:up" in prim.attributes), layer.pseudoRoot)
     of_kind: dict[str, list[Any]] = {}
     for prim, _ in prims:
@@ -154,8 +160,8 @@ def _scene(pxr: Any, layer: Any) -> LabelledScene:
     )  # fmt: skip
 
 
-def _gaussians(prims: list[tuple[Any, str]]) -> Gaussians:
-    parts = [_splat(prim, space) for prim, space in prims if prim.typeName == SCHEMA]
+def _gaussians(prims: list[tuple[Any, str]], arrays: Arrays) -> Gaussians:
+    parts = [_splat(prim, space, arrays) for prim, space in prims if prim.typeName == SCHEMA]
     if not parts:
         kinds = sorted({prim.typeName for prim, _ in prims if prim.typeName})[:8]
         raise FormatError(
@@ -169,7 +175,7 @@ def _gaussians(prims: list[tuple[Any, str]]) -> Gaussians:
     return concatenated(parts)
 
 
-def _splat(prim: Any, space: str) -> Gaussians:
+def _splat(prim: Any, space: str, large: Arrays) -> Gaussians:
     where = f"prim '{prim.name}'"
     # that of the prim itself may not be applied
     spaces = [*(attribute.colorSpace for attribute in prim.attributes), space, _text(prim, "colorSpace:name")]
@@ -179,7 +185,7 @@ def _splat(prim: Any, space: str) -> Gaussians:
             f"{where}: its colour space is {other!a:.60}: colours of linear light, or of "
             "other primaries, look otherwise than those of photos. Export it in srgb_rec709_scene"
         )
-    arrays = {name: _rows(prim, name, width) for name, width in _COLUMNS.items()}
+    arrays = {name: _rows(prim, name, width, large) for name, width in _COLUMNS.items()}
     count = len(arrays["positions"])
     for name, array in arrays.items():
         if len(array) != count:
@@ -188,20 +194,21 @@ def _splat(prim: Any, space: str) -> Gaussians:
         raise FormatError(f"{where} has no Gaussians")
     extra: Arrays = {}
     for name in (name for name in prim.attributes.keys() if name.startswith("primvars:")):  # noqa: SIM118
-        value, column = _value(prim, name), name.removeprefix("primvars:")
+        value, column = _value(prim, name, large), name.removeprefix("primvars:")
         if isinstance(value, np.ndarray) and value.shape == (count,):
             narrow = value.astype(np.int32 if column == "object_id" else np.float32)
             extra[column] = narrow if (narrow == value).all() else value
     gaussians = checked(
         arrays["positions"], arrays["orientations"], arrays["scales"], arrays["opacities"][:, 0],
-        _harmonics(prim, count), extra, bool(_number(prim, "drsplat:antialiased", 0)),
+        _harmonics(prim, count, large), extra, bool(_number(prim, "drsplat:antialiased", 0)),
     )  # fmt: skip
     return replace(gaussians, origin=_numbers(prim, "drsplat:origin", np.zeros(3)))
 
 
-def _rows(prim: Any, name: str, width: int) -> Array:
+def _rows(prim: Any, name: str, width: int, large: Arrays) -> Array:
     """Return an array of float32, or of half precision where there is no other."""
-    value = _value(prim, name if _value(prim, name) is not None else f"{name}h")
+    values = (_value(prim, one, large) for one in (name, f"{name}h"))
+    value = next((value for value in values if value is not None), None)
     if value is None and any(
         one in prim.attributes and prim.attributes[one].HasInfo("timeSamples") for one in (name, f"{name}h")
     ):
@@ -211,13 +218,13 @@ def _rows(prim: Any, name: str, width: int) -> Array:
     return value.astype(np.float32).reshape(-1, width)
 
 
-def _harmonics(prim: Any, count: int) -> Array:
+def _harmonics(prim: Any, count: int, large: Arrays) -> Array:
     """Return (count, k, 3) coefficients; those of degrees above 3 are left out, with a warning."""
     degree = _number(prim, "radiance:sphericalHarmonicsDegree", MAX_DEGREE)
     if not (0 <= degree <= MAX_STORED_DEGREE and degree == int(degree)):
         raise FormatError(f"prim '{prim.name}': expected harmonics of a degree from 0 to {MAX_DEGREE}, got {degree}")
     stored = (int(degree) + 1) ** 2
-    values = _rows(prim, HARMONICS, 3)
+    values = _rows(prim, HARMONICS, 3, large)
     if len(values) < count * stored:
         raise FormatError(
             f"prim '{prim.name}': {count:,} Gaussians of degree {int(degree)} have {count * stored:,} harmonics, got "
@@ -229,11 +236,14 @@ def _harmonics(prim: Any, count: int) -> Array:
     return np.ascontiguousarray(values[: count * stored].reshape(count, stored, 3)[:, :kept])
 
 
-def _value(prim: Any, name: str) -> str | Array | None:
+def _value(prim: Any, name: str, large: Mapping[str, Array] = {}) -> str | Array | None:
     """Return an attribute: text, or numbers in one row; None where there is none, or anything else."""
-    value = prim.attributes[name].default if name in prim.attributes else None
+    attribute = prim.attributes.get(name)
+    value = None if attribute is None else attribute.default
     if value is None or isinstance(value, str):
         return value
+    if attribute.GetInfo(_PLACE) in large:
+        return large[attribute.GetInfo(_PLACE)]
     try:
         numbers = np.asarray(value)
         if type(value).__name__.startswith("Quat") and numbers.ndim == 2:
@@ -284,6 +294,40 @@ def _annotation(prim: Any) -> Annotation:
         return Annotation.box(thing.name, thing.center, thing.axes, thing.extent)
     except InputError as error:
         raise FormatError(f"prim '{prim.name}': {error}") from None
+
+
+def _without_large_arrays(content: memoryview) -> tuple[bytes, Arrays]:
+    """Return a text whose large arrays are empty, and their numbers by what is said as `_PLACE` there."""
+    pieces: list[bytes] = []
+    arrays: Arrays = {}
+    end = 0
+    for match in _LARGE.finditer(content):
+        name = f"array {len(arrays)}"
+        arrays[name] = _numbers_in(content[slice(*match.span(3))], bytes(match[1]))
+        stands_for = f'[] (\n{_PLACE} = "{name}"\n{"" if match[4] else ")"}'.encode()
+        pieces += [bytes(content[end : match.end(2)]), stands_for]
+        end = match.end()
+    return b"".join([*pieces, bytes(content[end:])]), arrays
+
+
+@np.errstate(over="ignore")
+def _numbers_in(text: memoryview, kind: bytes) -> Array:
+    """Return the numbers of an array's text in one row, a piece at a time; kind: its type, as of USD."""
+    dtype = np.float32 if kind.startswith((b"float", b"half")) or kind[-1:] in (b"f", b"h") else np.float64
+    parts, begin = [], 0
+    while begin < len(text):
+        piece = bytes(text[begin : begin + _CHUNK_BYTES])
+        if begin + len(piece) < len(text):
+            piece = piece[: piece.rfind(b",") + 1] or piece
+        begin += len(piece)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", DeprecationWarning)
+                numbers = np.fromstring(piece.translate(None, b"()").strip(b", \t\r\n"), np.float64, sep=",")
+        except (DeprecationWarning, ValueError):
+            raise FormatError(f"expected numbers with commas between them, got {piece[:40]!r}") from None
+        parts.append(numbers.astype(dtype))
+    return np.concatenate(parts)
 
 
 def _refuse_deep_brackets(text: bytes) -> None:

@@ -1,14 +1,14 @@
-"""Writing a scene and what was found in it as OpenUSD, text or binary, by its own library.
+"""Writing a scene and what was found in it as OpenUSD: text without a library, binary by its own library.
 
 The Gaussians are one prim of the schema ParticleField3DGaussianSplat (OpenUSD 26.03) in the coordinates of the scene;
-the prim above it turns them so that up is +Y. Objects, groups, matches and annotations are prims beside it. What is
-read back is what was written, to the bit.
+the prim above it turns them so that up is +Y. Objects, groups, matches and annotations are prims beside it. Numbers
+have the nine digits that float32 takes, so what is read back is what was written, to the bit.
 """
 
 import math
 import re
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,10 @@ from ..scene.labelled import Annotation, LabelledScene, Thing
 from .activation import refuse_unwritable
 from .axes import standing_up
 from .json_files import is_text
-from .replacing import take_over
+from .replacing import replacing, take_over
 from .usd import HARMONICS, SCHEMA, openusd
 
-BLOCK_ROWS = 1 << 12  # whose extent is found at once
+BLOCK_ROWS = 1 << 12  # that are made text at once
 SUPPORT_SIGMAS = 3.0  # of the schema's kernel
 MAX_NAME_CHARACTERS = 64  # of a prim
 ROOT, SPLAT = "scene", "gaussians"
@@ -40,19 +40,35 @@ _HEAD = f"""#usda 1.0
     upAxis = "Y"
 )
 """
+_VERTEX = 'interpolation = "vertex"\n        )'
+_PLACE = "\0"  # of the arrays in the text, which is in no name
 _TO_XYZW = [1, 2, 3, 0]  # of quaternions, whose real part the library keeps last
 
 
+Columns = dict[str, tuple[Array, str]]
+"""Arrays of the Gaussians' prim and their metadata, by type and name."""
+
+
 def write_usd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
-    """Write a scene as OpenUSD text where `path` ends in .usda, else binary: .usdc, or .usdz with one such layer.
+    """Write a scene as OpenUSD: text, some thousand rows at a time, where `path` ends in .usda, .usdc or .usdz.
 
     Raises: InputError: no Gaussians, or some that no file could give back; a name that is no text; `path` exists and
-    not `overwrite`. MissingExtraError: no library.
+    not `overwrite`. MissingExtraError: a binary file, and no library.
     """
+    refuse_unwritable(scene.gaussians)
+    suffix, columns = path.suffix.lower(), _columns(scene)
+    if suffix == ".usda":
+        before, after = _layer_text(scene, _PLACE).split(_PLACE)
+        with replacing(path, overwrite) as file:
+            file.write(before.encode())
+            for declared, column in columns.items():
+                file.writelines(_column_text(declared, *column))
+            file.write(after.encode())
+        return
     pxr = openusd()
-    layer, suffix = _layer_of(pxr, scene), path.suffix.lower()
+    layer = _layer_of(pxr, scene, columns)
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder, f"{ROOT}{'.usda' if suffix == '.usda' else '.usdc'}")
+        made = Path(folder, f"{ROOT}.usdc")
         if not layer.Export(str(made)):
             raise FormatError(f"OpenUSD could not write {path.name}")
         if suffix == ".usdz":
@@ -62,32 +78,46 @@ def write_usd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
         take_over(made, path, overwrite)
 
 
-def _layer_of(pxr: Any, scene: LabelledScene) -> Any:
-    """Return an open layer: its text without arrays is parsed by the library, and the arrays are set."""
+def _columns(scene: LabelledScene) -> Columns:
     gaussians = scene.gaussians
-    refuse_unwritable(gaussians)
-    columns = {
-        "point3f[] positions": gaussians.means,
-        "quatf[] orientations": gaussians.quats[:, _TO_XYZW],
-        "float3[] scales": gaussians.scales,
-        "float[] opacities": gaussians.opacities,
-        f"float3[] {HARMONICS}": gaussians.sh.reshape(-1, 3),
-        "float3[] extent": extent_of(gaussians),
+    size = f" (\n            elementSize = {gaussians.sh.shape[1]}\n            {_VERTEX}"
+    columns: Columns = {
+        "point3f[] positions": (gaussians.means, ""),
+        "quatf[] orientations": (gaussians.quats, ""),
+        "float3[] scales": (gaussians.scales, ""),
+        "float[] opacities": (gaussians.opacities, ""),
+        f"float3[] {HARMONICS}": (gaussians.sh.reshape(-1, 3), size),
+        "float3[] extent": (extent_of(gaussians), ""),
     }
     if scene.object_numbers is not None:
-        columns["int[] primvars:object_id"] = scene.object_numbers
+        columns["int[] primvars:object_id"] = scene.object_numbers, f" (\n            {_VERTEX}"
     if scene.relevancy is not None:
-        columns["float[] primvars:relevancy"] = scene.relevancy
+        columns["float[] primvars:relevancy"] = scene.relevancy, f" (\n            {_VERTEX}"
+    return columns
+
+
+def _column_text(declared: str, rows: Array, metadata: str) -> Iterator[bytes]:
+    """Yield `type name = [...]` with its metadata, some thousand rows at a time."""
+    width = 1 if rows.ndim == 1 else rows.shape[1]
+    number = "%d" if rows.dtype.kind in "iu" else "%.9g"
+    row = number if width == 1 else f"({', '.join([number] * width)})"
+    yield f"        {declared} = [".encode()
+    for begin in range(0, len(rows), BLOCK_ROWS):
+        block = rows[begin : begin + BLOCK_ROWS]
+        yield ((", " if begin else "") + ", ".join([row] * len(block)) % tuple(block.ravel().tolist())).encode()
+    yield f"]{metadata}\n".encode()
+
+
+def _layer_of(pxr: Any, scene: LabelledScene, columns: Columns) -> Any:
+    """Return an open layer: its text without arrays is parsed by the library, and the arrays are set."""
     layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
-    layer.ImportFromString(_layer_text(scene, columns))
-    for declared, rows in columns.items():
+    declarations = [f"        {declared}{metadata}\n" for declared, (_, metadata) in columns.items()]
+    layer.ImportFromString(_layer_text(scene, "".join(declarations)))
+    for declared, (rows, _) in columns.items():
         kind, name = declared.split()
         attribute = layer.GetAttributeAtPath(f"/{ROOT}/{SPLAT}.{name}")
-        attribute.default = getattr(pxr.Vt, _ARRAYS[kind]).FromNumpy(np.ascontiguousarray(rows))
-        if ":" in name:
-            attribute.SetInfo("interpolation", "vertex")
-        if name == HARMONICS:
-            attribute.SetInfo("elementSize", gaussians.sh.shape[1])
+        ordered = rows[:, _TO_XYZW] if kind == "quatf[]" else rows
+        attribute.default = getattr(pxr.Vt, _ARRAYS[kind]).FromNumpy(np.ascontiguousarray(ordered))
     return layer
 
 
@@ -103,9 +133,9 @@ def extent_of(gaussians: Gaussians) -> Float32[Array, "2 3"]:
     return np.stack([low, high]).astype(np.float32)
 
 
-def _layer_text(scene: LabelledScene, arrays: Iterable[str]) -> str:
-    """Return the layer. arrays: type and name of those of the Gaussians' prim, whose values the library sets."""
-    gaussians, declared = scene.gaussians, "\n        ".join(arrays)
+def _layer_text(scene: LabelledScene, arrays: str) -> str:
+    """Return the layer. arrays: what stands for those of the Gaussians' prim."""
+    gaussians = scene.gaussians
     kinds = {
         "groups": ("group", scene.groups),
         "objects": ("object", scene.things),
@@ -135,8 +165,7 @@ def Xform "{ROOT}" (
         uniform token sortingModeHint = "cameraDistance"
         double3 xformOp:translate = {_tuple(gaussians.origin)}
         uniform token[] xformOpOrder = ["xformOp:translate"]
-        {declared}
-    }}
+{arrays}    }}
 {"".join(scopes)}{notes}}}
 """
 
