@@ -176,8 +176,8 @@ FORMATS = (
         row="| OpenUSD `.usda`, `.usdc`, `.usdz`, `.usd` | 26.03 | `.usda`, `.usdc`, `.usdz` | "
         "ParticleField3DGaussianSplat, single and half precision; primvars with a number per Gaussian; reading, "
         'and binary files, need `pip install ".[usd]"` ([layout](#openusd)); SH degree above 3 is cut with a warning | '
-        "linear light or other primaries: export in `srgb_rec709_scene`; splats in other files or variants: flatten the "
-        "stage; splats that move; several splats of which some are moved: one file each |",
+        "linear light or other primaries: export in `srgb_rec709_scene`; splats in other files or variants: flatten "
+        "the stage; splats that move; several splats of which some are moved: one file each |",
     ),
     SceneFormat(
         "trained model",
