@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from datetime import UTC, datetime
 
 import numpy as np
@@ -56,7 +56,7 @@ def rows_of(
 
 
 def scene_arrays(
-    matches: Sequence[Match], descriptors: Sequence[Embeddings], dim: int, records: Sequence[Record],
+    matches: Sequence[Match], descriptors: Sequence[np.ndarray], dim: int, records: Sequence[Record],
     thumbnails: Sequence[bytes], sketch: bytes, georeference: Georeference | None = None,
 ) -> Arrays:  # fmt: skip
     """Return the arrays of the objects of one scene. Raises: InputError: a descriptor without a direction."""
@@ -82,7 +82,7 @@ def _bytes(name: str, lengths: str, parts: Sequence[bytes]) -> Arrays:
     return {name: np.frombuffer(b"".join(parts), np.uint8), lengths: _lengths(parts)}
 
 
-def _lengths(parts: Sequence[bytes] | Sequence[Embeddings]) -> np.ndarray:
+def _lengths(parts: Sequence[Sized]) -> np.ndarray:
     return np.array([len(part) for part in parts], np.uint32)
 
 
