@@ -11,7 +11,6 @@ selections that share no Gaussian, at most one is seen at a pixel, and none wher
 Source: OpenGaussian (Wu et al. 2024); Dr. Splat Sec. B "3D object selection".
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -26,9 +25,8 @@ from ..base.contents import Document
 from ..errors import InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
-from ..formats.json_files import as_object, as_vector, read_json
+from ..formats.json_files import as_object, as_vector, read_json, write_json
 from ..formats.lerf_ovs import LabelledFrame, read_lerf_labels
-from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..scene.gaussians import Gaussians
 from ..scene.views import View, same_aspect
@@ -137,8 +135,7 @@ def predict(
         "chosen": picked,
     }
     Manifest(PROTOCOL, scorer.name, scene.name, columns, inputs, leaked_frames(scene, scorer)).write(folder)
-    with replacing(folder / scene.name / PEAKS, overwrite=True) as file:
-        file.write(json.dumps(peaks, indent=1).encode() + b"\n")
+    write_json(folder / scene.name / PEAKS, peaks, overwrite=True)
 
 
 def without_labelled(views: Sequence[View], scene: LerfScene) -> list[View]:

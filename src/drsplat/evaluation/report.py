@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from ..base.arrays import Pixels
+from ..formats.json_files import write_json
 from ..formats.replacing import replacing
 from .tables import Table, pictures_note, tables_of
 
@@ -189,14 +190,11 @@ def write_report(
         "drsplat": version("drsplat"),
         "results": [dict(result) for result in results],
     }
-    text = json.dumps(without_nan(document), indent=1, allow_nan=False)
     page = html_page(results, tables_of(results), figures, [*charts, *charts_of(results), *_study_charts(results)])
-    written = []
-    for name, content in ((RESULTS, text + "\n"), (PAGE, page)):
-        with replacing(folder / name, overwrite) as file:
-            file.write(content.encode())
-        written.append(folder / name)
-    return written
+    write_json(folder / RESULTS, without_nan(document), overwrite, allow_nan=False)
+    with replacing(folder / PAGE, overwrite) as file:
+        file.write(page.encode())
+    return [folder / RESULTS, folder / PAGE]
 
 
 def without_nan(value: Any) -> Any:
