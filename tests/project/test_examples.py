@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 import drsplat as ds
-from drsplat.evaluation.demo.story import Story
+from drsplat.evaluation.demo.story import Story, Verdict
 from drsplat.formats.langsplat import write_features
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,13 +43,22 @@ def run(number: str, capsys: Capture, *arguments: str) -> str:
     return capsys.readouterr().out
 
 
+def verdict(demo: Story, text: str) -> Verdict:
+    """What the demo found."""
+    return next(one for one in demo.verdicts if one.probe.text == text)
+
+
 def found(demo: Story, text: str) -> np.ndarray:
-    """The Gaussians that the demo found."""
-    return next(one.gaussian_ids for one in demo.verdicts if one.probe.text == text)
+    return verdict(demo, text).gaussian_ids
 
 
 def center(demo: Story, text: str) -> np.ndarray:
-    return next(one.center for one in demo.verdicts if one.probe.text == text)
+    return verdict(demo, text).center
+
+
+def is_coloured(path: str) -> bool:
+    with Image.open(path) as picture:
+        return bool(np.ptp(np.asarray(picture), axis=2).max() > 100)
 
 
 def test_there_are_ten_and_the_tour_links_them_all():
@@ -94,8 +103,7 @@ def test_asking_saves_what_was_found(demo, capsys):
     ids = np.load("found.npy")
     assert np.isin(vase, ids).all()
     assert saved.extra["relevancy"][ids].min() > 0.5
-    with Image.open("found.png") as picture:
-        assert np.ptp(np.asarray(picture), axis=2).max() > 100  # some of it is in colour
+    assert is_coloured("found.png")
 
 
 def test_asking_for_what_is_not_there_saves_nothing(demo, capsys):
@@ -187,8 +195,7 @@ def test_asking_over_http(demo, capsys):
     answer = json.loads(printed)
     assert answer["field"] == demo.field.fingerprint
     assert np.abs(answer["matches"][0]["center"] - center(demo, "red vase")).max() < 1e-3
-    with Image.open("found_over_http.png") as picture:
-        assert np.ptp(np.asarray(picture), axis=2).max() > 100
+    assert is_coloured("found_over_http.png")
     with pytest.raises(ConnectionRefusedError):  # it was stopped
         socket.create_connection(("127.0.0.1", int(port)), 1)
 
