@@ -268,7 +268,7 @@ def _header(raw: Array, path: Path) -> tuple[dict[str, Any], Array]:
 
 
 def _counts(value: object, where: str) -> list[int]:
-    items = value if isinstance(value, list) and len(value) <= 16 else [None]
+    items: list[Any] = value if isinstance(value, list) and len(value) <= 16 else [None]
     if not all(type(item) is int and 0 <= item < 1 << 48 for item in items):
         raise FormatError(f"{where}: expected a short list of counts")
     return items
