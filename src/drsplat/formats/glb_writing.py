@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Array, Ids, Matrix3, UInt8, Vector3
+from ..base.arrays import Array, Harmonics, Ids, Matrix3, UInt8, Vector3
 from ..base.contents import Document
 from ..errors import InputError
 from ..scene.gaussians import SH_C0, Gaussians
@@ -204,8 +204,12 @@ def _splat_attributes(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
         for name, kind in SPLAT_KINDS.items()
     }
     for number, name in enumerate(HARMONICS[: g.sh.shape[1]]):
-        attributes[name] = binary.attribute(len(g), "VEC3", FLOAT, lambda rows, number=number: g.sh[rows, number])
+        attributes[name] = binary.attribute(len(g), "VEC3", FLOAT, _coefficient(g.sh, number))
     return attributes
+
+
+def _coefficient(sh: Harmonics, number: int) -> Rows:
+    return lambda rows: sh[rows, number]
 
 
 def _point_colors(gaussians: Gaussians, rows: slice) -> UInt8[Array, "b 4"]:

@@ -22,8 +22,8 @@ import gzip
 import io
 import struct
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -53,7 +53,8 @@ REST_COEFFICIENTS = (0, 3, 8, 15, 24)
 PARITIES = ["y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x"]
 
 
-class SpzHeader(NamedTuple):
+@dataclass(frozen=True)
+class SpzHeader:
     """The first 16 bytes; `streams` is reserved before version 4."""
 
     version: int

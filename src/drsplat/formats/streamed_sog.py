@@ -164,13 +164,12 @@ def write_streamed_sog(
     Raises: InputError: no Gaussians, or some that no file could give back; DIR exists and not `overwrite`.
     FormatError: damaged tiles.
     """
-    labels = b""
-    if isinstance(source, LabelledScene):
-        labels = labels_bytes(source) if has_labels(source) else b""
-        source = replace(source.gaussians, extra=source.columns)
+    labels, finest = b"", source if isinstance(source, Tiles) else replace(source.gaussians, extra=source.columns)
+    if isinstance(source, LabelledScene) and has_labels(source):
+        labels = labels_bytes(source)
     with replacing_folder(path.resolve().parent, overwrite, LOD_META) as temporary:
         writer = _Writer(temporary, chunk_rows)
-        for read in leaves_of(source, leaf_rows)[0]:
+        for read in leaves_of(finest, leaf_rows)[0]:
             part = read()
             for begin in range(0, len(part), leaf_rows):
                 writer.add(part.subset(np.arange(begin, min(begin + leaf_rows, len(part)))))

@@ -268,10 +268,10 @@ def _header(raw: Array, path: Path) -> tuple[dict[str, Any], Array]:
 
 
 def _counts(value: object, where: str) -> list[int]:
-    is_short = isinstance(value, list) and len(value) <= 16
-    if not is_short or not all(type(item) is int and 0 <= item < 1 << 48 for item in value):
+    items: list[Any] = value if isinstance(value, list) and len(value) <= 16 else [None]
+    if not all(type(item) is int and 0 <= item < 1 << 48 for item in items):
         raise FormatError(f"{where}: expected a short list of counts")
-    return value
+    return items
 
 
 def _span(entry: object, where: str) -> tuple[int, int, np.dtype, list[int]]:  # type: ignore[type-arg]
