@@ -63,7 +63,7 @@ class RowCoder:
         return encode_features(features.rows(seen), codebook, threads, track)
 
 
-AT_ONCE = RowCoder()
+AT_ONCE: RowCoder = RowCoder()
 
 
 class Coded(NamedTuple):

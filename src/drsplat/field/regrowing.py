@@ -133,7 +133,8 @@ def _coded_again(
     norms = np.concatenate([field.code.inverse_norms[rows], field.codebook.inverse_norms(codes)])
     order = np.argsort(np.concatenate([ids[: len(rows)], ids[len(rows) :][directed]]))
     both = zip(field.code.codes(rows), codes, strict=True)
-    joined = Codes(*(None if new is None else np.concatenate([old, new])[order] for old, new in both))
+    arrays = [None if new is None else np.concatenate([old, new])[order] for old, new in both]
+    joined = Codes(*arrays)  # type: ignore[arg-type]  # that codes are never None is not told of both at once
     return Coded(pq_code(field.codebook, joined, norms[order]), directed)
 
 

@@ -80,9 +80,9 @@ def united(held: Sequence[Held], blocks: Sequence[Block], masses: Masses, work: 
         own = part.inside & (part.lowest >= 0)
         node_of[part.rows[own]] = number[part.lowest[own] + base]
     held_rows = node_of >= 0
-    own = node_of[held_rows]
-    sizes = with_those_below(parents, np.bincount(own, minlength=len(parents)))
-    weights = with_those_below(parents, np.bincount(own, masses.rows[held_rows], len(parents)))
+    nodes = node_of[held_rows]
+    sizes = with_those_below(parents, np.bincount(nodes, minlength=len(parents)))
+    weights = with_those_below(parents, np.bincount(nodes, masses.rows[held_rows], len(parents)))
     fits, spreads = _judged(parts, members, sizes, masses)
     none = np.zeros(len(parents), np.float32)
     forest = Forest(parents, none, sizes.astype(np.int32), weights.astype(np.float32), fits, spreads)
