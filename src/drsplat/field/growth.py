@@ -14,7 +14,7 @@ from ..formats.tensors import check_tensors
 from .codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
 from .codes.mixture import MixtureCode, SceneAtoms, quantised
 from .codes.mixture.dictionary import SCENE_ATOM
-from .evidence.evidence import check_starts
+from .evidence.evidence import check_starts, csr_of
 from .evidence.provenance import Provenance
 
 GIVEN = "codebook"
@@ -152,11 +152,9 @@ def growth_from_tensors(
 
 
 def _rest(tensors: ArraysByName, masks: int) -> Sparse:
-    from scipy.sparse import csr_array
-
     indptr, indices, data = (tensors[f"rest_{name}"] for name in ("indptr", "indices", "data"))
     check_starts(indptr, len(indices))
-    return csr_array((data, indices, indptr), shape=(len(indptr) - 1, masks))
+    return csr_of(indptr, indices, data, masks)
 
 
 def _scene(tensors: ArraysByName) -> tuple[SceneAtoms, np.ndarray]:
