@@ -23,8 +23,9 @@ from drsplat.query.search import split_negation
 from drsplat.query.sentences import parsed
 from drsplat.query.suggesting import words_instead
 from drsplat.scene.gaussians import Gaussians, significance
+from page_files import read_page
 from scenes import look_at_view
-from twins.page_codes import decoded, read_page
+from twins.page_codes import decoded
 
 BAKED = ["red vase", "couch", "something to eat", "laptop"]
 FIFTY = [

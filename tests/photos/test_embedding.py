@@ -288,15 +288,6 @@ def test_an_encoder_that_looks_at_whole_photos_gets_no_crops(views, out):
             assert embeddings[number].argmax() == (7 * x + 3 * y) % DIM
 
 
-def test_further_photos_leave_finished_ones_alone(views, out):
-    embed_quietly(views[:1], out)
-    before = times_of(out)
-    report = embed_quietly(views, out)
-    assert (report.reused, report.redone) == (1, 0)
-    after = times_of(out)
-    assert {after[name] == before[name] for name in ("a_f.npy", "a_s.npy")} == {True}
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -553,24 +544,6 @@ def three_balls(tmp_path_factory) -> Path:
     for view in views:
         write_picture(folder / "images" / view.name, as_pixels(ds.render(scene, view).rgb))
     return folder
-
-
-def test_embed_register_query(three_balls, out):
-    views, scene = ds.read_views(three_balls), ds.read_gaussians(three_balls / "scene.ply")
-    encoder = ThumbnailEncoder()
-    embed(views, out, ColorSegmenter(), encoder)
-    features = read_features(out)
-    field = ds.register(scene, views, features).to_field()
-    assert field.encoder == encoder.identity
-    for ball in range(3):
-        disc = np.zeros((40, 40, 3), np.uint8)
-        y, x = np.mgrid[:40, :40] - 19.5
-        disc[np.hypot(x, y) < 20, ball] = 255
-        scores = field.scores(encoder.encode_images([disc])[0])
-        found = field.gaussian_ids[scores > 0.8]
-        own = found // 60 == ball
-        assert own.mean() > 0.95
-        assert own.sum() > 40
 
 
 # The command

@@ -5,7 +5,7 @@ what loading costs, and most of it is often not used. See docs/formats.md, Check
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -104,11 +104,6 @@ class StoredField(LanguageField):
     objects = _guarded("objects", OBJECTS)  # type: ignore[assignment]  # read as a whole when first used
     growth = _guarded("growth", GROWTH)  # type: ignore[assignment]  # so is this
 
-    def compared_by(self, checks: Mapping[str, Callable[["StoredField"], None]]) -> "StoredField":
-        """Return this field with checks to run once, before a file's arrays are used."""
-        self.__dict__["_checks"] = dict(checks)
-        return self
-
     def verify(self) -> None:
         """See LanguageField."""
         for file in tuple(self.__dict__.get("_checks", ())):
@@ -165,7 +160,8 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
             if not (path / name).exists():
                 raise FormatError(f"{path}: incomplete: there is no {name}. {CURE}")
             checks[name] = partial(_LATER_READ[name], path, manifest)
-    return field.compared_by(checks)
+    field.__dict__["_checks"] = checks  # each is done once, before a file's arrays are used
+    return field
 
 
 def verify_field(path: str | os.PathLike[str]) -> list[str]:

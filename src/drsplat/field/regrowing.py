@@ -159,7 +159,11 @@ def field_during(
     some = with_weights(evidence, np.where(entries, weights.data, np.float32(0)))
     how = aggregator(field.aggregator.name)
     aggregated = replace(how(some, gaussians, threads=threads), record=field.aggregator)
-    made = build_field(some, field.scene, field.encoder, _code(field), aggregated=aggregated, threads=threads)
+    wish = None if field.growth is None else field.growth.code
+    code: PQ | Mixture | Codebook = Mixture() if wish is None or isinstance(wish, PQ) else Mixture(wish.atoms)
+    if isinstance(field.code, PQCode):
+        code = field.code.codebook
+    made = build_field(some, field.scene, field.encoder, code, aggregated=aggregated, threads=threads)
     return replace(made, up=field.up, left_out=field.left_out).with_words_of(field, threads=threads)
 
 
@@ -177,11 +181,3 @@ def views_during(field: LanguageField, during: Span) -> Flags:
             f"{field.times.max():g}"
         )
     return inside
-
-
-def _code(field: LanguageField) -> PQ | Mixture | Codebook:
-    """Return the specification of the field's code: its codebook, or as many masks for each row."""
-    if isinstance(field.code, PQCode):
-        return field.code.codebook
-    wish = None if field.growth is None else field.growth.code
-    return Mixture() if wish is None or isinstance(wish, PQ) else Mixture(wish.atoms)

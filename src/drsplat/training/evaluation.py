@@ -1,7 +1,7 @@
 """Held-out photos against renderings from their places: numbers and pictures."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,10 +34,6 @@ class Evaluation:
     psnr: float
     ssim: float
     views: tuple[ViewScore, ...]
-
-    def plain(self) -> dict[str, object]:
-        """Return it as JSON has it."""
-        return asdict(self)
 
 
 def evaluate(

@@ -75,12 +75,6 @@ class Optimizer:
             for array in moment:
                 array[rows] = 0
 
-    def replace_logits(self, logits: Float32[Anywhere, " n"]) -> None:
-        """Set all opacities anew, and forget their moments."""
-        self.parameters.logits[:] = logits
-        self.first.logits[:] = 0
-        self.second.logits[:] = 0
-
     def rows(self, rows: Rows) -> SceneParameters:
         """Return copies of the parameters of some Gaussians."""
         return _rows(self.parameters, rows)

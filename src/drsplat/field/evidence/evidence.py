@@ -201,11 +201,9 @@ class Evidence:
         support = data[of_row] * row_products(self.embeddings[columns].astype(np.float64), query)
         total = support[support > 0].sum()
         order = np.argsort(-support, kind="stable")[:top]
-        return [self._explanation(int(columns[k]), float(support[k] / total)) for k in order if support[k] > 0]
-
-    def _explanation(self, column: int, share: float) -> Explanation:
-        masks = self.masks
-        return Explanation(masks.view_names[masks.views[column]], int(masks.ids[column]), share)
+        masks, best = self.masks, order[support[order] > 0]
+        shown = zip(columns[best].tolist(), (support[best] / total).tolist(), strict=True)
+        return [Explanation(masks.view_names[masks.views[j]], int(masks.ids[j]), share) for j, share in shown]
 
     def tensors(self) -> Arrays:
         """Return the arrays by name, as they are written to files; `metadata` holds the rest."""

@@ -5,6 +5,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ...errors import FormatError, InputError
 from ...scene.encoders import EncoderIdentity
 from .devices import fitting
 from .preprocessing import Preprocessing
+from .pretrained import weights_hash
 
 BATCH_BYTES = {"cpu": 5 << 20, "mps": 20 << 20, "cuda": 80 << 20}
 """Input bytes per pass by device: 8 images of 224 pixels on a CPU, where more do not fit its caches."""
@@ -28,8 +30,11 @@ class TorchEncoder(ABC):
     The last MAX_CACHED_TEXTS texts are cached.
     """
 
-    def __init__(self, identity: EncoderIdentity, preprocessing: Preprocessing, device: str, dtype: str) -> None:
-        self.identity, self.preprocessing, self.device, self.dtype = identity, preprocessing, device, dtype
+    def __init__(
+        self, name: str, dim: int, weights: list[Path], preprocessing: Preprocessing, device: str, dtype: str
+    ) -> None:
+        self.identity = EncoderIdentity(name, dim, weights_hash(weights), str(preprocessing))
+        self.preprocessing, self.device, self.dtype = preprocessing, device, dtype
         self.batch = max(1, BATCH_BYTES[device] // (12 * preprocessing.side**2))
         self._texts: OrderedDict[str, np.ndarray] = OrderedDict()
 
@@ -91,12 +96,6 @@ class TorchEncoder(ABC):
         empty = [text for text in texts if not text.strip()]
         if empty:
             raise InputError(f"{empty[0]!r} is empty: name an object, e.g. 'a red mug'")
-
-    def _check_lengths(self, texts: Sequence[str], lengths: Sequence[int], most: int) -> None:
-        """Check the numbers of tokens. Raises: InputError: a text has more than the model reads."""
-        if max(lengths) > most:
-            text = texts[int(np.argmax(lengths))]
-            raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")
 
     def _unit(self, blocks: Sequence[np.ndarray], what: str) -> Embeddings:
         rows = np.concatenate([np.empty((0, self.identity.dim), np.float32), *blocks])

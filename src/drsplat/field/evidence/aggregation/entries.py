@@ -19,7 +19,6 @@ from ....base.arrays import (
     DoubleRows,
     Embeddings,
     Flags,
-    Float64,
     IndexRows,
     Indices,
     Int64,
@@ -59,7 +58,7 @@ class RowBlock:
         return table.take(self.columns[: self.active[entry], entry], axis=0)
 
 
-Rule = Callable[[RowBlock], Float64[np.ndarray, "n k"]]
+Rule = Callable[[RowBlock], DoubleRows]
 """A number per entry of a block."""
 
 
@@ -93,7 +92,7 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Numbers:
     return values
 
 
-def _blocks(order: OtherIndices, lengths: WholeNumbers) -> Iterator[Int64[np.ndarray, " b"]]:
+def _blocks(order: OtherIndices, lengths: WholeNumbers) -> Iterator[Indices]:
     """Yield rows by falling length in blocks of at most BLOCK_ROWS, and BLOCK_CELLS entries unless one row has more."""
     begin = 0
     while begin < len(order):

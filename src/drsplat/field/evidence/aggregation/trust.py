@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import DoubleRows, Doubles, Integer, Numbers, RowIds, WholeNumbers
+from ....base.arrays import DoubleRows, Doubles, Integer, RowIds, WholeNumbers
 from ..evidence import Evidence
 from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, with_weights
 from .outliers import agreements
@@ -46,7 +46,12 @@ class MaskTrust:
             entries = slice(weights.indptr[rows.start], weights.indptr[rows.stop])
             columns = weights.indices[entries]
             runs = _runs(views[columns], weights.indptr[rows.start : rows.stop + 1] - entries.start)
-            changed[entries] = _by_photo(weights.data[entries], trust[columns], runs)
+            if len(columns):  # multiply by the mean trust of each photo's masks in each row
+                votes = weights.data[entries]
+                held = np.add.reduceat(votes.astype(np.float64), runs)
+                trusted = np.add.reduceat(votes * trust[columns], runs)
+                mean = np.divide(trusted, held, out=np.zeros(len(runs)), where=held > 0)
+                changed[entries] = votes * np.repeat(mean, np.diff(np.append(runs, len(votes))))
         return with_weights(evidence, changed)
 
 
@@ -90,14 +95,3 @@ def _runs(views: RowIds, starts: WholeNumbers) -> Integer[np.ndarray, " p"]:
     new[1:-1] = views[1:] != views[:-1]
     new[starts] = True
     return np.flatnonzero(new[:-1])
-
-
-def _by_photo(weights: Numbers, trust: Doubles, runs: RowIds) -> Doubles:
-    """Multiply the weights of each photo in each row by the mean trust of its masks there."""
-    if not len(weights):
-        return np.zeros(0)
-    held = np.add.reduceat(weights.astype(np.float64), runs)
-    trusted = np.add.reduceat(weights * trust, runs)
-    mean = np.divide(trusted, held, out=np.zeros(len(runs)), where=held > 0)
-    lengths = np.diff(np.append(runs, len(weights)))
-    return weights * np.repeat(mean, lengths)

@@ -12,12 +12,9 @@ from ....base.arrays import (
     Doubles,
     Embeddings,
     Flags,
-    Float64,
     Ids,
     IndexRows,
     Indices,
-    Int64,
-    Integer,
     OtherFlags,
     OtherIndices,
     Vectors,
@@ -145,9 +142,7 @@ def nearest(tree: cKDTree, points: Vectors, count: int, threads: int) -> tuple[D
     return nearest_first(distances, near, count)
 
 
-def nearest_first(
-    distances: Float64[np.ndarray, "b k"], near: Integer[np.ndarray, "b k"], count: int
-) -> tuple[Float64[np.ndarray, "b n"], Int64[np.ndarray, "b n"]]:
+def nearest_first(distances: DoubleRows, near: IndexRows, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return up to `count` of the nearest of each row, nearest first; equally near ones by index."""
     order = np.lexsort((near, distances), axis=1)[:, :count]
     return np.take_along_axis(distances, order, 1), np.take_along_axis(near, order, 1)
