@@ -88,7 +88,7 @@ def main() -> None:
         assert field.evidence is not None
         start, cpu = time.perf_counter(), time.process_time()
         forest = grow(field.evidence, gaussians.means[field.gaussian_ids], threads=given.threads)
-        choose(forest, len(field), MIN_GAUSSIANS)
+        choose(forest, np.arange(len(field)), MIN_GAUSSIANS)
         grown, grown_cpu = time.perf_counter() - start, time.process_time() - cpu
         start, cpu = time.perf_counter(), time.process_time()
         with Most() as memory:

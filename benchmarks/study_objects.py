@@ -35,9 +35,9 @@ from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, View, read_gau
 from drsplat.evaluation import scorers
 from drsplat.field.codes.code import Code
 from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
-from drsplat.field.forest import THING
+from drsplat.field.forest import THING, owner_nodes
 from drsplat.field.objects.borders import some_views
-from drsplat.field.objects.choosing import Tree, _owners, choose
+from drsplat.field.objects.choosing import Tree, choose
 from drsplat.field.objects.finding import MIN_GAUSSIANS, grow, of_pieces
 from drsplat.formats.tensors import read_tensors, write_tensors
 
@@ -140,11 +140,11 @@ def ours(room: Room) -> np.ndarray:
 
 
 def _chosen(room: Room) -> Tree:
-    return choose(grow(room.evidence, room.gaussians.means[room.ids]), len(room.ids), MIN_GAUSSIANS)
+    return choose(grow(room.evidence, room.gaussians.means[room.ids]), np.arange(len(room.ids)), MIN_GAUSSIANS)
 
 
 def _things(tree: Tree) -> np.ndarray:
-    thing = _owners(tree.parents, tree.levels == THING)
+    thing = owner_nodes(tree.parents, tree.levels == THING)
     return np.asarray(np.append(thing, -1)[tree.node_of])
 
 

@@ -40,9 +40,9 @@ from drsplat import EncoderIdentity, LanguageField, MiniEncoder, Query, Scene, V
 from drsplat.base.system import peak_memory_bytes
 from drsplat.drawing.pictures import contact_sheet, visible_share, write_picture
 from drsplat.field.evidence.evidence import Evidence
-from drsplat.field.forest import THING
+from drsplat.field.forest import THING, owner_nodes
 from drsplat.field.objects.agreed import agreed
-from drsplat.field.objects.choosing import Tree, _owners
+from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import MIN_SHOWN_SHARE, describe, node_weights
 from drsplat.field.objects.finding import find_tree
 from drsplat.field.objects.voting import Vote, with_voted
@@ -92,7 +92,7 @@ class Rows:
 
 def listing(tree: Tree, evidence: Evidence, ids: np.ndarray) -> Listing:
     things = np.flatnonzero(tree.levels == THING)
-    owner = np.append(_owners(tree.parents, tree.levels == THING), -1)[tree.node_of]
+    owner = np.append(owner_nodes(tree.parents, tree.levels == THING), -1)[tree.node_of]
     weights, views = node_weights(evidence, tree)[things], evidence.masks.views
     shown = np.stack([weights[:, views == view].sum(axis=1) for view in range(len(evidence.masks.view_names))], 1)
     photos = (shown > MIN_SHOWN_SHARE * shown.max(1, keepdims=True)).sum(1)
@@ -227,8 +227,8 @@ def side_by_side(study: Study, words: Clip | None, pictures: Path | None) -> tup
 
 def draw(place: Place, ids: np.ndarray, before: Tree, after: Tree, path: Path) -> None:
     """Each joined thing in the photo that shows most of it, its pieces in colours."""
-    number = np.append(_owners(before.parents, before.levels == THING), -1)[before.node_of]
-    whole = np.append(_owners(after.parents, after.levels == THING), -1)[after.node_of]
+    number = np.append(owner_nodes(before.parents, before.levels == THING), -1)[before.node_of]
+    whole = np.append(owner_nodes(after.parents, after.levels == THING), -1)[after.node_of]
     joined = [thing for thing in np.unique(whole[whole >= 0]) if len(np.unique(number[whole == thing])) > 1]
     splats, tiles = splat_arrays(place.gaussians), []
     for thing in joined:

@@ -95,7 +95,7 @@ def _across(room: Room, eye: Vec, rng: np.random.Generator) -> Vec:
     far = [o.center for o in room.objects if np.linalg.norm(o.center[:2] - eye[:2]) > 1.7]
     target = np.array(far[int(rng.integers(len(far)))]) if far else room.focus.copy()
     target[2] = np.clip(target[2], 0.3, 1.0)
-    return np.asarray(0.75 * target + 0.25 * room.focus)
+    return 0.75 * target + 0.25 * room.focus
 
 
 def is_free(room: Room, eye: Vec, gap: float = 0.3) -> bool:

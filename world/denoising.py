@@ -40,7 +40,7 @@ def _without_fireflies(falling: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndar
     """No pixel much brighter than the middling one of its neighbours."""
     level = falling.mean(2)
     most = 2.5 * median_filter(level, 3) + 0.05
-    return np.asarray(falling * np.minimum(1, most / np.maximum(level, 1e-6))[..., None])
+    return falling * np.minimum(1, most / np.maximum(level, 1e-6))[..., None]
 
 
 def _overlap(dy: int, dx: int, height: int, width: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
@@ -57,4 +57,4 @@ def _blurred(image: PixelNumbers) -> PixelNumbers:
     """A 3x3 mean, to judge the level of light by."""
     padded = np.pad(image, 1, mode="edge")
     h, w = image.shape
-    return np.asarray(sum(padded[y : y + h, x : x + w] for y in range(3) for x in range(3)) / 9)
+    return sum(padded[y : y + h, x : x + w] for y in range(3) for x in range(3)) / 9

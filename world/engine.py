@@ -60,7 +60,7 @@ def corner_normals(mesh: Mesh) -> Float64[np.ndarray, "f 3 3"]:
         near = (flat[other] * flat[at // 3]).sum(1) > np.cos(np.radians(CREASE))
         total[at[near]] += weighted[other[near]]
     total /= np.linalg.norm(total, axis=1, keepdims=True)
-    return np.asarray(total.reshape(-1, 3, 3))
+    return total.reshape(-1, 3, 3)
 
 
 def shape(mesh: Mesh, look: Look, name: str) -> Any:
@@ -83,28 +83,28 @@ def shape(mesh: Mesh, look: Look, name: str) -> Any:
 def linear(rgb: Any) -> Float64[np.ndarray, "*n 3"]:
     """sRGB in 0..1 -> linear."""
     values = np.asarray(rgb, float)
-    return np.asarray(np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4))
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def srgb(values: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
     """Linear -> sRGB in 0..1, with a soft shoulder above 0.8 instead of clipping."""
     values = np.maximum(values, 0)
     soft = np.where(values < 0.8, values, 0.8 + 0.2 * (1 - np.exp(-(values - 0.8) / 0.2)))
-    return np.asarray(np.where(soft <= 0.0031308, 12.92 * soft, 1.055 * soft ** (1 / 2.4) - 0.055))
+    return np.where(soft <= 0.0031308, 12.92 * soft, 1.055 * soft ** (1 / 2.4) - 0.055)
 
 
 def _bsdf(look: Look) -> dict[str, Any]:
-    material = MATERIALS[look.material]
+    roughness = MATERIALS[look.material]
     if look.texture is None:
         tint = {"type": "rgb", "value": linear(look.rgb).tolist()}
     else:
         tint = {"type": "bitmap", "bitmap": mitsuba().Bitmap(look.texture.bitmap)}
-    if material.kind == "roughconductor":
-        bsdf = {"type": "roughconductor", "alpha": material.roughness, "specular_reflectance": tint}
-    elif material.kind == "principled":
-        bsdf = {"type": "principled", "roughness": material.roughness, "specular": 0.5, "base_color": tint}
-    else:
+    if roughness is None:
         bsdf = {"type": "diffuse", "reflectance": tint}
+    elif look.material == "metal":
+        bsdf = {"type": "roughconductor", "alpha": roughness, "specular_reflectance": tint}
+    else:
+        bsdf = {"type": "principled", "roughness": roughness, "specular": 0.5, "base_color": tint}
     return {"type": "twosided", "bsdf": bsdf}
 
 
@@ -176,7 +176,7 @@ def pixel_rays(view: View) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarra
     columns, rows = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=2)
     directions = pixels @ np.linalg.inv(view.K).T @ view.cam_from_world[:3, :3]
-    return view.center, np.asarray(directions)
+    return view.center, directions
 
 
 def first_hits(

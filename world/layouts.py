@@ -27,6 +27,7 @@ NYU40 = {
     "rug": 20, "book": 23, "box": 29, "lamp": 35, "stool": 39,
 }  # fmt: skip
 OTHER_PROP = 40  # NYU40's word for things it has no class for
+NO_FACES = "element face 0\nproperty list uchar int vertex_indices"
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # camera axes right, up, back
 
 
@@ -109,17 +110,14 @@ def _piece(name: str, polygon: list[tuple[int, int]]) -> dict[str, Any]:
 
 def _write_colmap(folder: Path, views: list[View], points: Points) -> None:
     """Source: https://colmap.github.io/format.html"""
-    sizes = list(dict.fromkeys((v.width, v.height, v.K[0, 0], v.K[1, 1], v.K[0, 2], v.K[1, 2]) for v in views))
-    cameras = [
-        f"{k} PINHOLE {w} {h} {fx!r} {fy!r} {cx!r} {cy!r}"
-        for k, (w, h, fx, fy, cx, cy) in enumerate(((s[0], s[1], *map(float, s[2:])) for s in sizes), 1)
-    ]
+    lenses = [(v.width, v.height, *v.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()) for v in views]
+    sizes = list(dict.fromkeys(lenses))
+    cameras = [f"{k} PINHOLE {' '.join(map(repr, size))}" for k, size in enumerate(sizes, 1)]
     images = []
-    for k, v in enumerate(views, 1):
+    for k, (v, lens) in enumerate(zip(views, lenses, strict=True), 1):
         x, y, z, w = Rotation.from_matrix(v.cam_from_world[:3, :3]).as_quat().tolist()
-        camera = sizes.index((v.width, v.height, v.K[0, 0], v.K[1, 1], v.K[0, 2], v.K[1, 2])) + 1
         numbers = " ".join(map(repr, (w, x, y, z, *v.cam_from_world[:3, 3].tolist())))
-        images += [f"{k} {numbers} {camera} {v.name}", ""]
+        images += [f"{k} {numbers} {sizes.index(lens) + 1} {v.name}", ""]
     rows = zip(points.positions.tolist(), points.colors.tolist(), strict=True)
     cloud = [f"{k} {x:.6f} {y:.6f} {z:.6f} {r} {g} {b} 0" for k, ((x, y, z), (r, g, b)) in enumerate(rows, 1)]
     for name, lines in (("cameras", cameras), ("images", images), ("points3D", cloud)):
@@ -132,13 +130,14 @@ def write_scannet(folder: Path, scene: str, room: Room, shots: list[Shot], point
     (place / "color").mkdir(parents=True)
     names = [o.thing.name for o in room.objects] + [s.name for s in room.structures]
     labels = np.array([NYU40.get(name, OTHER_PROP) for name in names], np.uint16)[points.ids]
-    _write_ply(
-        place / f"{scene}_vh_clean_2.labels.ply",
-        points,
-        {"alpha": np.full(len(labels), 255, np.uint8), "label": labels},
-    )
+    columns = {
+        **{axis: points.positions[:, k].astype(np.float32) for k, axis in enumerate("xyz")},
+        **{name: points.colors[:, k] for k, name in enumerate(("red", "green", "blue"))},
+    }
+    known = {"alpha": np.full(len(labels), 255, np.uint8), "label": labels}
     normals = {axis: np.zeros(len(labels), np.float32) for axis in ("nx", "ny", "nz")}
-    _write_ply(place / "points3d.ply", points, normals)
+    (place / f"{scene}_vh_clean_2.labels.ply").write_bytes(ply({**columns, **known}, NO_FACES))
+    (place / "points3d.ply").write_bytes(ply({**columns, **normals}, NO_FACES))
     for shot in shots:
         _save_photo(shot, place / "color" / shot.view.name)
     views = [shot.view for shot in shots]
@@ -165,20 +164,13 @@ def _transforms(views: list[View]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _write_ply(path: Path, points: Points, more: dict[str, np.ndarray]) -> None:
-    """Binary; x y z, red green blue, and more columns."""
+def ply(columns: dict[str, np.ndarray], *more: str) -> bytes:
+    """A binary file of points, with more elements in its header."""
     words = {"float32": "float", "uint8": "uchar", "uint16": "ushort"}
-    columns = {
-        **{axis: points.positions[:, k].astype(np.float32) for k, axis in enumerate("xyz")},
-        **{name: points.colors[:, k] for k, name in enumerate(("red", "green", "blue"))}, **more,
-    }  # fmt: skip
-    rows = np.empty(len(points.ids), [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
-    for name, column in columns.items():
-        rows[name] = column
+    rows = np.rec.fromarrays([*columns.values()], [(name, column.dtype.str) for name, column in columns.items()])
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
     header += [f"property {words[column.dtype.name]} {name}" for name, column in columns.items()]
-    header += ["element face 0", "property list uchar int vertex_indices", "end_header", ""]
-    path.write_bytes("\n".join(header).encode() + rows.tobytes())
+    return "\n".join([*header, *more, "end_header", ""]).encode() + rows.tobytes()
 
 
 def _save_photo(shot: Shot, path: Path) -> None:

@@ -23,34 +23,12 @@ VIVID = ("red", "orange", "yellow", "green", "blue", "purple", "pink")
 PAINTS = (*VIVID, "black", "white", "grey", "brown")
 
 
-@dataclass(frozen=True)
-class Material:
-    """kind: diffuse, principled (a gloss over colour) or roughconductor, as the renderer calls them."""
-
-    kind: str
-    roughness: float = 0.0
-
-
 MATERIALS = {
-    "ceramic": Material("principled", 0.10),
-    "plastic": Material("principled", 0.18),
-    "glass": Material("principled", 0.05),
-    "rubber": Material("principled", 0.35),
-    "wood": Material("principled", 0.38),
-    "leather": Material("principled", 0.32),
-    "wax": Material("principled", 0.45),
-    "peel": Material("principled", 0.25),
-    "leaf": Material("principled", 0.40),
-    "metal": Material("roughconductor", 0.22),
-    "fabric": Material("diffuse"),
-    "paper": Material("diffuse"),
-    "cardboard": Material("diffuse"),
-    "wicker": Material("diffuse"),
-    "plush": Material("diffuse"),
-    "plaster": Material("diffuse"),
-    "flame": Material("diffuse"),
-    "screen": Material("principled", 0.2),
-}
+    "ceramic": 0.10, "plastic": 0.18, "glass": 0.05, "rubber": 0.35, "wood": 0.38, "leather": 0.32, "wax": 0.45,
+    "peel": 0.25, "leaf": 0.40, "metal": 0.22, "fabric": None, "paper": None, "cardboard": None, "wicker": None,
+    "plush": None, "plaster": None, "flame": None, "screen": 0.2,
+}  # fmt: skip
+"""How rough the gloss over each is, of metal its surface; None for what has no gloss."""
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,11 @@ def lathe(profile: Curve, sides: int = 40) -> Mesh:
     return _grid(vertices, np.stack([u, v], axis=2))
 
 
+def solid(profile: Curve, sides: int = 40) -> Mesh:
+    """A lathed profile, closed by a level floor at its first height and a level top at its last."""
+    return lathe([(0, profile[0][1]), *profile, (0, profile[-1][1])], sides)
+
+
 def ring(profile: Curve, sides: int = 40) -> Mesh:
     """A lathed band: the profile, counterclockwise in (radius, height), closes on itself."""
     return lathe([*profile, profile[0]], sides)
@@ -85,7 +90,7 @@ def ring(profile: Curve, sides: int = 40) -> Mesh:
 def cylinder(radius: float, height: float, edge: float = 0.0, sides: int = 40) -> Mesh:
     edge = min(edge, 0.45 * height, 0.9 * radius)
     if not edge:
-        return lathe([(0, 0), (radius, 0), (radius, height), (0, height)], sides)
+        return solid([(radius, 0), (radius, height)], sides)
     arc = [(np.cos(a), np.sin(a)) for a in np.linspace(0, np.pi / 2, 4)]
     low = [(radius - edge + edge * s, edge - edge * c) for c, s in arc]
     high = [(radius - edge + edge * c, height - edge + edge * s) for c, s in arc]
@@ -128,7 +133,7 @@ def _on_rounded_box(points: Float64[np.ndarray, "*n 3"], core: Vector3, edge: fl
         return points
     inner = np.clip(points, -core, core)
     away = points - inner
-    return np.asarray(inner + edge * away / np.linalg.norm(away, axis=-1, keepdims=True))
+    return inner + edge * away / np.linalg.norm(away, axis=-1, keepdims=True)
 
 
 def pillow(length: float, width: float, thickness: float, n: int = 20) -> Mesh:
@@ -246,7 +251,7 @@ def _grid(points: Float64[np.ndarray, "r c 3"], uv: Float64[np.ndarray, "r c 2"]
 def areas(vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"]) -> Float64[np.ndarray, " f"]:
     """In square metres."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def volume(mesh: Mesh) -> float:

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from drsplat.formats.scannet import LabelledCloud, read_scannet_labels
+from drsplat.formats.scannet import read_scannet_labels
 
-from .layouts import HELD_OUT
-from .truth import Truth, read_truth
+from .layouts import HELD_OUT, ply
+from .truth import read_truth
 
 QUALITY, POINTS = 85, 5_000
 LABELLED_POINTS = 15_000
@@ -63,26 +63,11 @@ def pack_labels(rendered: Path, output: Path) -> None:
         document = json.loads(path.read_text(encoding="utf-8"))
         text = json.dumps(document, separators=(",", ":")) + "\n"
         (labels / path.name).write_text(text, encoding="utf-8")
-    cloud = _labelled_cloud(truth)
-    rows = np.linspace(0, len(cloud.labels) - 1, LABELLED_POINTS).astype(int)
-    thinned = LabelledCloud(cloud.positions[np.unique(rows)], cloud.labels[np.unique(rows)])
-    (output / f"{name}_vh_clean_2.labels.ply").write_bytes(_ply(thinned))
-
-
-def _labelled_cloud(truth: Truth) -> LabelledCloud:
-    scan = truth.folder / "scannet" / truth.scene
-    return read_scannet_labels(scan / f"{truth.scene}_vh_clean_2.labels.ply")
-
-
-def _ply(cloud: LabelledCloud) -> bytes:
-    rows = np.empty(len(cloud.labels), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u2")])
-    for column, axis in enumerate("xyz"):
-        rows[axis] = cloud.positions[:, column]
-    rows["label"] = cloud.labels
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
-    header += [f"property float {axis}" for axis in "xyz"]
-    header += ["property ushort label", "end_header", ""]
-    return "\n".join(header).encode() + rows.tobytes()
+    cloud = read_scannet_labels(rendered / "scannet" / truth.scene / f"{truth.scene}_vh_clean_2.labels.ply")
+    rows = np.unique(np.linspace(0, len(cloud.labels) - 1, LABELLED_POINTS).astype(int))
+    columns = dict(zip("xyz", cloud.positions[rows].astype(np.float32).T, strict=True))
+    labels = {"label": cloud.labels[rows].astype(np.uint16)}
+    (output / f"{name}_vh_clean_2.labels.ply").write_bytes(ply({**columns, **labels}))
 
 
 def pack_scene(scene: Path, output: Path) -> None:

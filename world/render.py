@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -27,11 +29,8 @@ class Shot:
 def built(room: Room) -> Any:
     """The room as a Mitsuba scene; its shapes are called ID:PART."""
     shapes: dict[str, Any] = {}
-    for k, placed in enumerate(room.objects):
-        for m, (part, mesh) in enumerate(placed.part_meshes()):
-            shapes[f"s{k}:{m}"] = engine.shape(mesh, part.look, f"s{k}:{m}")
-    for k, structure in enumerate(room.structures, len(room.objects)):
-        for m, (look, mesh) in enumerate(structure.pieces):
+    for k, pieces in groupby(room.pieces(), itemgetter(0)):
+        for m, (_, look, mesh) in enumerate(pieces):
             shapes[f"s{k}:{m}"] = engine.shape(mesh, look, f"s{k}:{m}")
     return engine.scene(shapes, _lights(room))
 

@@ -11,7 +11,7 @@ from drsplat.base.arrays import Vector3
 
 from .looks import Look, Split, Wardrobe, color, plain, shaded, washed
 from .meshes import Mesh, box, turn
-from .thing import Ledge, Part, Thing
+from .thing import Ledge, Thing
 from .things import CATALOGUE
 
 Rng = np.random.Generator
@@ -37,22 +37,18 @@ class Placed:
     position: tuple[float, float, float]
     degrees: float
 
-    def part_meshes(self) -> Iterator[tuple[Part, Mesh]]:
-        for part in self.thing.parts:
-            yield part, part.mesh.turned("z", self.degrees).moved(*self.position)
-
     @property
     def center(self) -> Vector3:
         """Of its box, in the world."""
         low, high = self.thing.bounds
-        return np.asarray(turn("z", self.degrees) @ ((low + high) / 2) + np.array(self.position))
+        return turn("z", self.degrees) @ ((low + high) / 2) + np.array(self.position)
 
     @property
     def footprint(self) -> Float64[np.ndarray, "4 2"]:
         """The corners of its box seen from above, in the world."""
         low, high = self.thing.bounds
         corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
-        return np.asarray(np.array(corners) @ turn("z", self.degrees)[:2, :2].T + self.position[:2])
+        return np.array(corners) @ turn("z", self.degrees)[:2, :2].T + self.position[:2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +72,15 @@ class Room:
     structures: list[Structure]
     window: tuple[np.ndarray, np.ndarray, np.ndarray]
     light: dict[str, Any] = field(default_factory=dict)
+
+    def pieces(self) -> Iterator[tuple[int, Look, Mesh]]:
+        """All surfaces with the ids of their instances, in the order of the ids."""
+        for k, placed in enumerate(self.objects):
+            for part in placed.thing.parts:
+                yield k, part.look, part.mesh.turned("z", placed.degrees).moved(*placed.position)
+        for k, structure in enumerate(self.structures, len(self.objects)):
+            for look, mesh in structure.pieces:
+                yield k, look, mesh
 
 
 def overlap(a: Float64[np.ndarray, "4 2"], b: Float64[np.ndarray, "4 2"], gap: float) -> bool:

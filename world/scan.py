@@ -39,14 +39,9 @@ def of_surfaces(room: Room, shots: list[Shot], rng: np.random.Generator, spacing
     """Evenly over all surfaces that a photo sees; thrice as far apart on floor and walls. Colours are
     the mean over the photos."""
     positions, ids = [], []
-    for k, placed in enumerate(room.objects):
-        for _, mesh in placed.part_meshes():
-            positions.append(on_mesh(mesh, spacing, rng))
-            ids.append(np.full(len(positions[-1]), k, np.int32))
-    for k, structure in enumerate(room.structures, len(room.objects)):
-        for _, mesh in structure.pieces:
-            positions.append(on_mesh(mesh, 3 * spacing, rng))
-            ids.append(np.full(len(positions[-1]), k, np.int32))
+    for k, _, mesh in room.pieces():
+        positions.append(on_mesh(mesh, spacing if k < len(room.objects) else 3 * spacing, rng))
+        ids.append(np.full(len(positions[-1]), k, np.int32))
     return _seen(np.concatenate(positions), np.concatenate(ids), shots)
 
 
@@ -57,7 +52,7 @@ def on_mesh(mesh: Mesh, spacing: float, rng: np.random.Generator) -> Float64[np.
     face = mesh.faces[rng.choice(len(size), count, p=size / size.sum())]
     root, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
     a, b, c = (mesh.vertices[face[:, k]] for k in range(3))
-    return np.asarray((1 - root) * a + root * (1 - v) * b + root * v * c)
+    return (1 - root) * a + root * (1 - v) * b + root * v * c
 
 
 def _seen(positions: np.ndarray, ids: np.ndarray, shots: list[Shot]) -> Points:

@@ -1,6 +1,7 @@
 """A thing: named parts of surface, standing on z = 0 and facing +x."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -49,21 +50,33 @@ class Thing:
     @property
     def size(self) -> Vector3:
         low, high = self.bounds
-        return np.asarray(high - low)
+        return high - low
 
 
-def build(name: str, shade: Color, material: str, *pieces: tuple[Look, Mesh], ledges: tuple[Ledge, ...] = ()) -> Thing:
-    """The pieces as a thing, centred on the z axis and standing on z = 0; those of one look become
-    one part."""
-    grouped: dict[int, list[Mesh]] = {}
-    looks = {id(look): look for look, _ in pieces}
-    for look, mesh in pieces:
-        grouped.setdefault(id(look), []).append(mesh)
-    points = np.concatenate([mesh.vertices for _, mesh in pieces])
+def build(
+    name: str,
+    shade: Color,
+    material: str,
+    *pieces: tuple[Look, *tuple[Mesh, ...]],
+    turns: Sequence[tuple[str, float]] = (),
+    scale: float = 1.0,
+    ledges: Sequence[Ledge] = (),
+) -> Thing:
+    """The pieces as a thing: turned, scaled, centred on the z axis and standing on z = 0.
+
+    pieces: a look and its meshes; those of one look become one part. turns: (axis, degrees), one after another.
+    """
+    grouped: dict[Look, list[Mesh]] = {}
+    for look, *meshes in pieces:
+        mesh = joined(*meshes)
+        for axis, degrees in turns:
+            mesh = mesh.turned(axis, degrees)
+        grouped.setdefault(look, []).append(mesh.scaled(scale, scale, scale))
+    points = np.concatenate([mesh.vertices for meshes in grouped.values() for mesh in meshes])
     low, high = points.min(0), points.max(0)
     x, y, z = (-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2])
-    parts = [Part(joined(*meshes).moved(x, y, z), looks[key]) for key, meshes in grouped.items()]
+    parts = tuple(Part(joined(*meshes).moved(x, y, z), look) for look, meshes in grouped.items())
     shifted = tuple(
-        Ledge(ledge.z + z, (ledge.center[0] + x, ledge.center[1] + y), ledge.size, ledge.clearance) for ledge in ledges
+        replace(ledge, z=ledge.z + z, center=(ledge.center[0] + x, ledge.center[1] + y)) for ledge in ledges
     )
-    return Thing(name, shade.word, material, tuple(parts), shifted)
+    return Thing(name, shade.word, material, parts, shifted)

@@ -228,7 +228,7 @@ def _run(argv: list[str]) -> int:
     return 0
 
 
-def _device(command: ModuleType, options: "Verb") -> AbstractContextManager[None]:
+def _device(command: ModuleType, options: "Verb") -> AbstractContextManager[object]:
     """Draw and register where a verb says, if it has a choice. Raises: MissingExtraError: there is no such GPU."""
     if not hasattr(command, "device"):
         return nullcontext()
@@ -296,12 +296,12 @@ def _warnings_as_lines(flags: Mapping[str, str], debug: bool) -> Iterator[None]:
         shown = warnings.showwarning
         went_wrong = False
 
-        def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
             nonlocal went_wrong
             if issubclass(category, DrSplatWarning):
                 _warn(spelled(str(message), flags))
             elif debug:
-                shown(message, category, *place)
+                shown(message, category, *place, **more)
             elif issubclass(category, RuntimeWarning) and not went_wrong:
                 went_wrong = True
                 _warn(ODD_NUMBERS)

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from command_line import Capture, answer_of, error_of, text_of
-from drsplat import Gaussians, Scene, open_scene, read_gaussians, write_gaussians
+from drsplat import Scene, open_scene, read_gaussians, write_gaussians
 from drsplat.authoring.editing import Duplicate, Edit, EditFile, Move, Remove, Rows
 from drsplat.authoring.editing.resolving import object_rows
 from drsplat.authoring.exporting import export, labelled
@@ -26,7 +26,7 @@ from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.scene.labelled import Annotation, LabelledScene, Thing
 from drsplat.scene.moving import Frames, Moving
 from glb_files import Read
-from scenes import random_gaussians
+from scenes import gaussians_at, random_gaussians
 from toy_capture import PER_THING
 
 HALF = np.float32([0, 0, 0.5])
@@ -258,10 +258,7 @@ def test_groups_that_a_part_is_in_stay_with_it():
 
     things = (thing("a", 2, 0), thing("b", 0, 1), thing("c", -1, 2))
     groups = (thing("g0", -1), thing("g1", -1), thing("g2", 1))
-    gaussians = Gaussians(
-        np.zeros((2, 3), np.float32), np.float32([[1, 0, 0, 0]] * 2), np.ones((2, 3), np.float32),
-        np.ones(2, np.float32), np.zeros((2, 1, 3), np.float32),
-    )  # fmt: skip
+    gaussians = gaussians_at(np.zeros((2, 3)))
     part = only_used(LabelledScene(gaussians, "s", things, groups, np.int32([0, -1])))
     assert [(one.name, one.parent, one.number) for one in part.things] == [("a", 1, 0)]
     assert [(one.name, one.parent) for one in part.groups] == [("g1", -1), ("g2", 0)]

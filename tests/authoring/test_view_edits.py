@@ -1,10 +1,7 @@
 """Edits, annotations and the list of objects in the viewer and in its pages, without a browser."""
 
-import json
-import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +14,7 @@ from drsplat.fronts.viewing import saving
 from drsplat.fronts.viewing.session import Mode, Session
 from drsplat.fronts.viewing.stage import Stage
 from drsplat.scene.labelled import Annotation
+from page_files import read_page
 from refusing import refused
 from toy_capture import PER_THING, THINGS
 from viewing_scenes import EACH, boxes_scene
@@ -135,11 +133,6 @@ def test_annotations_are_kept(room, session):
     assert [note.text for note in session_of(room).edits.annotations] == ["b"]
 
 
-def header_of(page: Path) -> dict[str, Any]:
-    found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
-    return json.loads(found[1])
-
-
 def test_a_page_has_objects_annotations_and_the_scene_as_edited(room):
     session = session_of(room)
     session.ask("blue plate")
@@ -147,7 +140,7 @@ def test_a_page_has_objects_annotations_and_the_scene_as_edited(room):
     session.edits.annotate(Annotation.at("<here>", (0.0, 0.0, 1.0)))
     scene = open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture")
     page = export_page(room / "page.html", scene, ["red mug"])
-    header = header_of(room / "page.html")
+    header = read_page(room / "page.html")[0]
     assert len(page.shown) == 3 * PER_THING
     assert [(one["name"], one["unsure"]) for one in header["objects"]] == [("object 0", False), ("object 1", False)]
     assert all(one["picture"].startswith("data:image/jpeg;base64,") for one in header["objects"])

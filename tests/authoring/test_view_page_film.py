@@ -1,7 +1,5 @@
 """The page's film, looks, keys and its sheet on a phone, in a real browser, on a desk and in a hand."""
 
-import json
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +13,7 @@ from browsing import SLOW, eventually, needs_chromium, opened, pixels_of, settle
 from drsplat.authoring.filming.paths import CameraPath, KeyFrame, write_path
 from drsplat.errors import InputError
 from drsplat.fronts.viewing.exporting import export_page
+from page_files import read_page
 from scenes import look_at_view
 from viewing_scenes import THINGS, boxes_scene
 
@@ -33,13 +32,8 @@ def exported(tmp_path_factory) -> Path:
     return folder / "page.html"
 
 
-def header_of(page: Path) -> dict[str, Any]:
-    found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"))
-    return json.loads(found[1])
-
-
 def test_a_page_has_the_path_in_its_own_frame(exported):
-    film = header_of(exported)["film"]
+    film = read_page(exported)[0]["film"]
     assert film["seconds"] == 2.0
     assert len(film["eyes"]) == len(film["targets"]) == len(film["fovs"]) == 24
     eyes = np.array(film["eyes"])
@@ -54,7 +48,7 @@ def test_a_page_has_the_path_in_its_own_frame(exported):
 
 def test_without_a_path_the_film_is_an_orbit(tmp_path):
     export_page(tmp_path / "page.html", boxes_scene(), ["red mug"], words=THINGS)
-    film = header_of(tmp_path / "page.html")["film"]
+    film = read_page(tmp_path / "page.html")[0]["film"]
     assert_allclose(film["eyes"][0], film["eyes"][-1], atol=1e-3)
     assert np.ptp(film["eyes"], axis=0).max() > 1
     with pytest.raises(InputError, match="orbit, swing, photos or a file"):
@@ -100,7 +94,7 @@ def test_the_film_plays_stops_and_is_pulled(exported, chromium):
         eventually(lambda: not np.allclose(place_of(page), before))
         eventually(lambda: not page.evaluate("() => drsplat.film.isPlaying"))
         assert page.locator("#at").input_value() == "1000"
-        fovs = header_of(exported)["film"]["fovs"]
+        fovs = read_page(exported)[0]["film"]["fovs"]
         assert page.evaluate("() => drsplat.camera.fov") == pytest.approx(fovs[-1])
         page.locator("#at").fill("0")
         eventually(lambda: page.evaluate("() => drsplat.camera.fov") == fovs[0])

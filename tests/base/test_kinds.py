@@ -6,6 +6,7 @@ The checks are outside of those that the tests are run with, so both runs meet t
 import inspect
 import warnings
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -61,28 +62,23 @@ def test_the_mistakes_that_people_make(room):
     features = ds.read_features(room / "capture/language_features", encoder=ds.WordEncoder.identity)
     field = ds.register(gaussians, views, features).to_field()
 
-    mistakes = {
-        r"render: view: expected View \(one of read_views\(...\)\), got 'frame_00001' \(str\)": lambda: ds.render(
-            gaussians, "frame_00001"
+    mistakes = [
+        (r"view: expected View \(one of read_views\(...\)\), got 'frame_1' \(str\)", ds.render, gaussians, "frame_1"),
+        (r"gaussians: expected Gaussians .*, got LanguageField", ds.render, field, views[0]),
+        (r"text: expected a text or None, got Gaussians", ds.Query, gaussians),
+        (r"text: expected a text or None, got list of str", ds.Query, ["mug"]),
+        (r"negatives: expected a list of a text or .*, got 'object'", partial(ds.Query, negatives="object"), "mug"),
+        (
+            r"scene: expected Gaussians \(read_gaussians\(...\)\) or Moving \(.*\), got list of View",
+            ds.register, views, gaussians, features,
         ),
-        r"Query: text: expected a text or None, got Gaussians": lambda: ds.Query(gaussians),
-        r"register: scene: expected Gaussians \(read_gaussians\(...\)\) or Moving \(.*\), got list of View": lambda: (
-            ds.register(views, gaussians, features)
-        ),
-        r"Scene: field: expected LanguageField .*, got Gaussians": lambda: ds.Scene(gaussians, field),
-        r"Query: text: expected a text or None, got list of str": lambda: ds.Query(["mug"]),
-        r"Query: negatives: expected a list of a text or .*, got 'object' \(str\)": lambda: ds.Query(
-            "mug", negatives="object"
-        ),
-        r"render: gaussians: expected Gaussians .*, got LanguageField": lambda: ds.render(field, views[0]),
-        r"View: K: expected an array \(3 3\), got list": lambda: ds.View("x", [[1, 0], [0, 1]], np.eye(4), 4, 4),
-        r"read_views: max_side: expected a whole number or None, got '640' \(str\)": lambda: ds.read_views(
-            room, max_side="640"
-        ),
-    }
-    for said, mistake in mistakes.items():
+        (r"field: expected LanguageField .*, got Gaussians", ds.Scene, gaussians, field),
+        (r"K: expected an array \(3 3\), got list", ds.View, "x", [[1, 0], [0, 1]], np.eye(4), 4, 4),
+        (r"max_side: expected a whole number or None, got '640' \(str\)", partial(ds.read_views, max_side="640"), room),
+    ]  # fmt: skip
+    for said, call, *given in mistakes:
         with refused(said):
-            mistake()
+            call(*given)
 
 
 @pytest.mark.parametrize("of", [Annotated, jaxtyping.Float32])

@@ -240,20 +240,23 @@ def test_predictions_of_another_size_are_refused(room, tmp_path):
         score([room], tmp_path)
 
 
+WRITTEN = {"protocol": "lerf-ovs@1", "method": "m", "scene": "room", "columns": {}}
+
+
 @pytest.mark.parametrize(
     ("content", "error", "message"),
     [
-        ("[]", FormatError, "JSON object"),
-        ('{"protocol": "lerf-ovs@2", "scene": "room"}', MismatchError, "expected predictions of lerf-ovs@1"),
-        ('{"protocol": "lerf-ovs@1", "scene": "other"}', MismatchError, "for 'room'"),
-        ('{"protocol": "lerf-ovs@1", "scene": "room", "columns": []}', FormatError, "columns"),
-        ('{"protocol": "lerf-ovs@1", "scene": "room", "columns": {}, "leaked": 3}', FormatError, "leaked"),
-        ('{"protocol": "lerf-ovs@1", "scene": "room", "columns": {"../a": ""}}', FormatError, "name a folder"),
+        ([], FormatError, "expected an object with protocol, method"),
+        (WRITTEN | {"protocol": "lerf-ovs@2"}, MismatchError, "expected predictions of lerf-ovs@1"),
+        (WRITTEN | {"scene": "other"}, MismatchError, "for 'room'"),
+        (WRITTEN | {"columns": []}, FormatError, "columns"),
+        (WRITTEN | {"leaked": 3}, FormatError, "leaked"),
+        (WRITTEN | {"columns": {"../a": ""}}, FormatError, "name a folder"),
     ],
-)  # fmt: skip
+)
 def test_damaged_manifests_are_named(content, error, message, room, tmp_path):
     (tmp_path / "room").mkdir()
-    (tmp_path / "room" / "predictions.json").write_text(content)
+    (tmp_path / "room" / "predictions.json").write_text(json.dumps(content))
     with pytest.raises(error, match=message):
         score([room], tmp_path)
 

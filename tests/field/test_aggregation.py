@@ -152,19 +152,6 @@ def test_trust_is_that_of_the_twin(seed, sharpness):
     assert_allclose(found, slow_trust(evidence, sharpness), rtol=2e-3)
 
 
-def test_a_mask_that_disagrees_on_all_its_gaussians_counts_less_there_and_elsewhere():
-    """Mask 0 is called something else in rows 0 to 2; in row 3 it is alone with one other."""
-    weights = np.ones((4, 4), np.float32)
-    weights[3, 2:] = 0
-    e = np.eye(4, dtype=np.float32)[[1, 0, 0, 0]]
-    masks = MaskIds(("a", "b", "c", "d"), np.arange(4, dtype=np.int32), np.zeros(4, np.int32))
-    evidence = Evidence(csr_array(weights), masks, e)
-    assert tally(evidence).means[0] < -0.3
-    assert (tally(evidence).means[1:] > 0).all()
-    mean, trusted = (features(how, evidence) for how in (AGGREGATORS["mean"], MaskTrust()))
-    assert (trusted[:, 0] > mean[:, 0] + 0.01).all()
-
-
 def test_parts_of_rows_add_up_to_the_whole_to_the_bit():
     """In any order, as tasks of many processes come to an end; sums of floats would not."""
     evidence = evidence_of(default_rng(8), rows=300)
@@ -176,16 +163,6 @@ def test_parts_of_rows_add_up_to_the_whole_to_the_bit():
     rows = np.sort(order[:40])
     of_whole = MaskTrust().weighed(evidence, trust).rows(rows)
     assert_array_equal(of_whole.weights.data, MaskTrust().weighed(evidence.rows(rows), trust).weights.data)
-
-
-def test_trust_keeps_the_proportions_within_a_photo():
-    evidence = evidence_of(default_rng(3), per_view=3)
-    before, after = evidence.weights.toarray(), MaskTrust()(evidence, 1).weights.toarray()
-    for view in range(7):
-        of = evidence.masks.views == view
-        seen = before[:, of].sum(1) > 0
-        shares = (w[seen][:, of] / w[seen][:, of].sum(1, keepdims=True) for w in (before, after))
-        assert_allclose(*shares, atol=1e-6)
 
 
 def test_chunks_of_rows_do_not_show_in_trust(monkeypatch):

@@ -10,7 +10,7 @@ from test_registration import capture, same
 
 from drsplat.errors import MismatchError
 from drsplat.field import load_field
-from drsplat.field.evidence.aggregation import MEAN_RECORD, Sampling, aggregator
+from drsplat.field.evidence.aggregation import Sampling, aggregator
 from drsplat.field.registration import Registration, register
 from drsplat.formats.tensors import sealed
 from fields import toy_field
@@ -78,21 +78,12 @@ def test_a_field_remembers_what_made_it(gaussians, tmp_path):
     assert back.to_field().fingerprint == registration.to_field().fingerprint
 
 
-def test_fields_of_older_versions_are_of_means(tmp_path):
-    manifest = saved_manifest(tmp_path)
-    assert manifest.pop("aggregator")["name"] == "mean"
-    write_manifest(tmp_path, manifest)
-    assert load_field(tmp_path / "a.field").aggregator == MEAN_RECORD
-
-
 @pytest.mark.parametrize(
     "bad",
     [
         "mean",
         [],
-        {},
         {"name": 3, "parameters": {}},
-        {"name": "mean"},
         {"name": "mean", "parameters": []},
         {"name": "mean", "parameters": {"a": "b"}},
         {"name": "mean", "parameters": {"a": True}},
@@ -102,7 +93,6 @@ def test_fields_of_older_versions_are_of_means(tmp_path):
         {"name": "mean", "parameters": {}, "sampling": {"topk": True, "pixels": "all"}},
         {"name": "mean", "parameters": {}, "sampling": {"topk": 0, "pixels": "all"}},
         {"name": "mean", "parameters": {}, "sampling": {"topk": 3, "pixels": ["all"]}},
-        {"name": "mean", "parameters": {}, "sampling": {"topk": 3}},
         {"name": "mean", "parameters": {}, "sampling": {"topk": 3, "pixels": "some"}},
     ],
 )

@@ -90,22 +90,6 @@ def two_groups(*, flipped: int) -> tuple[Evidence, Gaussians]:
     return Evidence(csr_array(weights), masks, embeddings), replace(gaussians, means=means, scales=alike)
 
 
-def test_where_neighbours_agree_nobody_changes():
-    evidence, gaussians = two_groups(flipped=0)
-    voted = VOTING(evidence, gaussians)
-    assert voted.donors is not None
-    assert_array_equal(voted.donors, np.arange(80))
-    assert_array_equal(voted.features(0, 80), evidence.features(0, 80))
-
-
-def test_a_few_that_stand_alone_take_over_a_whole_feature():
-    evidence, gaussians = two_groups(flipped=3)
-    voted = VOTING(evidence, gaussians)
-    assert (voted.donors[:3] >= 3).all()
-    assert (voted.donors[:3] < 40).all()
-    assert_array_equal(voted.features(0, 80), np.eye(8, dtype=np.float32)[np.repeat([0, 1], 40)])
-
-
 def test_one_of_many_at_one_place_still_counts_itself():
     """More coincident Gaussians than neighbours: a row may be missing from what the tree finds."""
     evidence, gaussians = two_groups(flipped=0)

@@ -13,7 +13,7 @@ from drsplat.field.codes import Codebook, Mixture, load_codebook, read_faiss_cod
 from drsplat.formats.faiss_index import read_faiss_quantizer
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.scene.encoders import EncoderIdentity
-from fields import SCENE, as_version_2, random_evidence, unit_rows, without_checksums
+from fields import SCENE, random_evidence, unchecked, unit_rows, without_checksums
 from known_objects import with_objects
 from mutations import quota, seeded, survivors
 
@@ -29,10 +29,7 @@ def tiny_codebook(residual: bool = True) -> Codebook:
 
 @lru_cache
 def field_files(mixture: bool = False) -> dict[str, bytes]:
-    """The files of a small field with a coarse codebook or a mixture, evidence and negatives.
-
-    Without checksums, as those of version 2, so that damage gets past them.
-    """
+    """The files of a small field with a coarse codebook or a mixture, evidence and negatives, without checksums."""
     import tempfile
 
     rng = np.random.default_rng(1)
@@ -42,7 +39,8 @@ def field_files(mixture: bool = False) -> dict[str, bytes]:
     field = field.with_negatives(unit_rows(rng, 2, 4), ("one", "two"))
     with tempfile.TemporaryDirectory() as folder:
         field.save(Path(folder) / "a")
-        as_version_2(Path(folder) / "a")
+        for file in (Path(folder) / "a").glob("*.safetensors"):
+            without_checksums(file)
         return {file.name: file.read_bytes() for file in (Path(folder) / "a").iterdir()}
 
 
@@ -54,7 +52,7 @@ def field_with_objects(checksums: bool) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         with_objects()[0].save(Path(folder) / "a")
         if not checksums:
-            as_version_2(Path(folder) / "a")
+            without_checksums(Path(folder) / "a/objects.safetensors")
         return {file.name: file.read_bytes() for file in (Path(folder) / "a").iterdir()}
 
 
@@ -110,7 +108,8 @@ def use_field(path: Path) -> None:
         ("negatives.safetensors", quota(300), False),
     ],
 )
-def test_damaged_fields(name, count, mixture, tmp_path, bounded_memory):
+def test_damaged_fields(name, count, mixture, tmp_path, bounded_memory, monkeypatch):
+    unchecked(monkeypatch)
     for file, content in field_files(mixture).items():
         (tmp_path / file).write_bytes(content)
     read = use_field if name != "field.json" else lambda path: load_field(path.parent)
@@ -118,7 +117,8 @@ def test_damaged_fields(name, count, mixture, tmp_path, bounded_memory):
 
 
 @pytest.mark.slow
-def test_damaged_objects(tmp_path, bounded_memory):
+def test_damaged_objects(tmp_path, bounded_memory, monkeypatch):
+    unchecked(monkeypatch)
     for file, content in field_with_objects(False).items():
         (tmp_path / file).write_bytes(content)
     with np.errstate(all="ignore"):

@@ -14,26 +14,31 @@ from drsplat import load_field
 from drsplat.errors import DrSplatError
 from drsplat.field.codes import PQ, Mixture
 from drsplat.field.growing import add_views, remove_views
-from fields import as_version_2, without_checksums
+from fields import unchecked, without_checksums
 from growing_fields import at_once, features, files_of, scene, views
 from mutations import quota, seeded, survivors
 from refusing import malformed
 
 NAMES = tuple(view.name for view in views())
 MUTANTS = quota(150)
+ABOUT = {"isa": "avx2", "level": None, "code": {"kind": "codebook"}, "removed": []}
 
 
 @lru_cache
 def files(mixture: bool) -> dict[str, bytes]:
-    """Of a field without checksums, so that damage gets past them."""
+    """Of a field whose growth has no checksums."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.field"
         at_once(NAMES[:5], Mixture(2) if mixture else PQ(4)).save(path)
-        as_version_2(path)
         without_checksums(path / "growth.safetensors")
         return files_of(path)
+
+
+@pytest.fixture(autouse=True)
+def no_checksums(monkeypatch) -> None:
+    unchecked(monkeypatch)
 
 
 def write(folder: Path, mixture: bool) -> Path:
@@ -60,9 +65,11 @@ def test_mutants_are_refused_or_used(mixture, tmp_path):
     ("name", "value", "said"),
     [
         ("growth", None, "growth: expected an object"),
-        ("growth", {"isa": "avx2", "level": None, "code": {"kind": "mixture", "atoms": -1}}, "expected a code"),
-        ("growth", {"isa": 3, "level": None, "code": {"kind": "codebook"}}, "expected an instruction set"),
-        ("growth", {"isa": "avx2", "level": [], "code": {"kind": "codebook"}}, "a level or null"),
+        ("growth", ABOUT | {"code": {"kind": "mixture", "atoms": -1}}, "code: expected counts of 1 or more"),
+        ("growth", ABOUT | {"code": {"kind": "other"}}, "code: expected 'pq', 'mixture', 'auto' or 'codebook'"),
+        ("growth", ABOUT | {"isa": 3}, "isa: expected a text"),
+        ("growth", ABOUT | {"level": []}, "level: expected a text"),
+        ("growth", ABOUT | {"removed": [1]}, "removed: 0: expected a text"),
     ],
 )
 def test_manifests_that_do_not_say_how_it_was_made(name, value, said, tmp_path):

@@ -10,6 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from drsplat import Gaussians, View
+from drsplat.authoring.filming.looking import looking_at
 from drsplat.errors import InputError
 from drsplat.field.evidence.provenance import Provenance, cameras_of
 from drsplat.field.forest import GROUP, PART, THING, check_forest
@@ -26,7 +27,6 @@ from drsplat.field.objects.joining import (
     refined,
     with_joined,
 )
-from splat_captures import look_at
 
 SIZE = 200
 UP = np.array([0.0, -1, 0])
@@ -35,7 +35,9 @@ UNSURE = np.float32(0.1)
 
 
 def photo(name: str, eye: np.ndarray, target: np.ndarray) -> View:
-    return View(name, width=SIZE, height=SIZE, K=LENS, cam_from_world=look_at(eye, target, UP))
+    return View(
+        name, width=SIZE, height=SIZE, K=LENS, cam_from_world=looking_at(eye, target, UP, (SIZE, SIZE)).cam_from_world
+    )
 
 
 def views_around(target: np.ndarray, distance: float, count: int = 6) -> list[View]:
@@ -143,6 +145,16 @@ def known(pairs: dict[tuple[int, int], tuple[int, int]], areas: list[int]) -> Bo
     return Borders(front, back, levels, levels + jumps, np.array(areas, np.int64))
 
 
+def joined(
+    pairs: dict[tuple[int, int], tuple[int, int]], areas: list[int], whole: int | None = None
+) -> list[list[int]]:
+    """The sets that pieces are joined to. whole: a piece that masks hold as a whole."""
+    sure = np.full(len(areas), UNSURE)
+    if whole is not None:
+        sure[whole] = 0.8
+    return [thing.members for thing in join(known(pairs, areas), sure)]
+
+
 DOLL = {(0, 1): (500, 0), (1, 2): (300, 0), (0, 3): (50, 1000), (1, 3): (20, 700), (2, 3): (60, 600)}
 """Face, hair and dress, before a wall."""
 
@@ -156,24 +168,21 @@ def test_what_stands_out_together_is_one_thing():
 
 def test_what_fills_more_than_half_of_the_photos_is_the_room():
     pairs = {(0, 1): (500, 0), (0, 2): (50, 1000), (1, 2): (20, 700)}
-    assert join(known(pairs, [4000, 4000, 7000]), np.full(3, UNSURE)) == []
-    assert len(join(known(pairs, [4000, 4000, 9000]), np.full(3, UNSURE))) == 1
+    assert joined(pairs, [4000, 4000, 7000]) == []
+    assert joined(pairs, [4000, 4000, 9000]) == [[0, 1]]
 
 
 def test_what_masks_hold_as_a_whole_stays_a_thing():
     """Every photo has a mask of the third piece: it is left out where it is small, else nothing is joined."""
-    sure = np.float32([UNSURE, UNSURE, 0.8, UNSURE])
-    (thing,) = join(known(DOLL, [4000, 3000, 500, 90_000]), sure)
-    assert thing.members == [0, 1]
+    assert joined(DOLL, [4000, 3000, 500, 90_000], whole=2) == [[0, 1]]
     pairs = {(0, 1): (500, 0), (0, 2): (50, 1000), (1, 2): (20, 700)}
-    areas, whole = [4000, 4000, 90_000], np.float32(0.8)
-    assert len(join(known(pairs, areas), np.full(3, UNSURE))) == 1
-    assert join(known(pairs, areas), np.array([UNSURE, whole, UNSURE])) == []
+    assert joined(pairs, [4000, 4000, 90_000]) == [[0, 1]]
+    assert joined(pairs, [4000, 4000, 90_000], whole=1) == []
 
 
 def test_a_table_that_stands_out_does_not_take_the_plates_on_it():
     pairs = {(0, 3): (0, 2000), (1, 0): (200, 20), (2, 0): (150, 20)}
-    assert join(known(pairs, [40_000, 2000, 1500, 90_000]), np.full(4, UNSURE)) == []
+    assert joined(pairs, [40_000, 2000, 1500, 90_000]) == []
 
 
 HEAD = {(0, 4): (20, 700), (1, 4): (10, 500), (0, 1): (500, 0)}
@@ -193,14 +202,13 @@ def test_a_head_and_a_body_are_one_thing_though_depth_jumps_between_them():
 def test_what_holds_together_by_a_touch_only_stays_apart():
     """Depth has to go on along half of the borders within: here along 1200 of 3200 pixels."""
     jumps = {(1, 2): (140, 1500), (0, 3): (60, 500)}
-    sets = join(known(HEAD | BODY | jumps, FOUR), np.full(5, UNSURE))
-    assert [thing.members for thing in sets] == [[0, 1], [2, 3]]
+    assert joined(HEAD | BODY | jumps, FOUR) == [[0, 1], [2, 3]]
 
 
 def test_a_thing_is_taken_out_of_what_it_stands_on():
     """A mug on a table: the table stands out little, and less than the mug: together they are no thing."""
     pairs = {(0, 1): (200, 300), (1, 2): (300, 700), (0, 2): (10, 600)}
-    assert join(known(pairs, [3000, 9000, 90_000]), np.full(3, UNSURE)) == []
+    assert joined(pairs, [3000, 9000, 90_000]) == []
 
 
 BOW = {(5, 0): (150, 30), (5, 4): (0, 120)}
@@ -218,11 +226,9 @@ def test_a_head_and_a_body_that_are_each_the_best_around_themselves_are_united()
     """No single piece of the body makes the head stand out more, and none of the head the body."""
     halves = {(0, 4): (60, 1000), (1, 4): (60, 1000), (0, 1): (700, 0), (2, 4): (60, 1000), (3, 4): (60, 1000),
               (2, 3): (700, 0), (0, 2): (120, 0), (1, 3): (120, 0)}  # fmt: skip
-    found = known(halves, FOUR)
-    head = refined(Outlines.of(found), np.array([0, 1]), np.array([True] * 4 + [False]))
+    head = refined(Outlines.of(known(halves, FOUR), np.float32([UNSURE] * 4 + [1])), np.array([0, 1]))
     assert head.members.tolist() == [0, 1]
-    (thing,) = join(found, np.full(5, UNSURE))
-    assert thing.members == [0, 1, 2, 3]
+    assert joined(halves, FOUR) == [[0, 1, 2, 3]]
 
 
 def test_what_stands_out_by_itself_stays_a_thing():
@@ -230,21 +236,19 @@ def test_what_stands_out_by_itself_stays_a_thing():
     laptop = {(0, 3): (30, 700), (1, 3): (40, 600), (0, 1): (600, 0)}
     bottle = {(2, 3): (40, 950), (2, 1): (90, 60)}
     areas = [5000, 5000, 3000, 90_000]
-    (thing,) = join(known(laptop | bottle, areas), np.full(4, UNSURE))
-    assert thing.members == [0, 1]
-    (thing,) = join(known(laptop | bottle | {(2, 3): (160, 830)}, areas), np.full(4, UNSURE))
-    assert thing.members == [0, 1, 2]
+    assert joined(laptop | bottle, areas) == [[0, 1]]
+    assert joined(laptop | bottle | {(2, 3): (160, 830)}, areas) == [[0, 1, 2]]
 
 
 def test_relief_of_a_set_leaves_out_what_is_within():
-    outlines = Outlines.of(known(DOLL, [4000, 3000, 3000, 90_000]))
+    outlines = Outlines.of(known(DOLL, [4000, 3000, 3000, 90_000]), np.full(4, UNSURE))
     assert PieceSet(outlines, np.array([0, 1, 2])).relief == pytest.approx(2300 / 2460)
     assert PieceSet(outlines, np.array([0])).relief == pytest.approx(1000 / (1000 + 550 + 30)) == outlines.reliefs[0]
 
 
 @given(st.integers(0, 10_000), st.integers(2, 10), st.lists(st.integers(0, 9), max_size=30))
 def test_a_set_that_changes_is_the_set_counted_anew(seed, count, changes):
-    outlines = Outlines.of(a_mesh(default_rng(seed), count))
+    outlines = Outlines.of(a_mesh(default_rng(seed), count), np.full(count + 1, UNSURE))
     changed, members = PieceSet(outlines, np.array([0])), {0}
     for piece in changes:
         if piece < count and members ^ {piece}:
@@ -261,9 +265,10 @@ def test_a_set_that_changes_is_the_set_counted_anew(seed, count, changes):
 def test_refining_ends_where_no_single_change_helps(seed, count):
     """Whatever set it begins with; and a set is never less than the seed that it is grown from."""
     rng = default_rng(seed)
-    outlines, free = Outlines.of(a_mesh(rng, count)), np.ones(count + 1, bool)
-    begun = PieceSet(outlines, grown(outlines, int(rng.integers(count)), free))
-    ended = refined(outlines, begun.members, free)
+    outlines = Outlines.of(a_mesh(rng, count), np.full(count + 1, UNSURE))
+    vars(outlines)["free"] = np.ones(count + 1, bool)  # also what stands out by itself
+    begun = PieceSet(outlines, grown(outlines, int(rng.integers(count))))
+    ended = refined(outlines, begun.members)
     assert ended.holds
     assert ended.relief >= begun.relief - 1e-9
     for piece in range(count):
@@ -302,14 +307,14 @@ def test_sets_are_disjoint_and_follow_the_pieces(seed, count):
     rng = default_rng(seed)
     mesh, sure = a_mesh(rng, count), rng.random(count + 1).astype(np.float32)
     found = join(mesh, sure)
-    members = [member for joined in found for member in joined.members]
+    members = [member for one in found for member in one.members]
     assert len(members) == len(set(members))
-    assert all(len(joined.members) > 1 and MIN_RELIEF <= joined.relief <= 1 for joined in found)
+    assert all(len(one.members) > 1 and MIN_RELIEF <= one.relief <= 1 for one in found)
     names = np.append(rng.permutation(count), count).astype(np.int32)
     places = np.argsort(names)
     renamed = mesh._replace(front=names[mesh.front], back=names[mesh.back], areas=mesh.areas[places])
     others = join(renamed, sure[places])
-    assert {frozenset(names[joined.members].tolist()) for joined in found} == {frozenset(j.members) for j in others}
+    assert {frozenset(names[one.members].tolist()) for one in found} == {frozenset(j.members) for j in others}
 
 
 def tree(parents: list[int], levels: list[int], node_of: list[int]) -> Tree:

@@ -6,14 +6,10 @@ from numpy.testing import assert_array_equal
 
 import drsplat as ds
 from drsplat.field.method import TOPK, coded_features, cosines
+from fields import unit_rows
 from scenes import look_at_view, random_gaussians, random_mask_map
 
 DIM = 128
-
-
-def unit_rows(count: int, seed: int) -> np.ndarray:
-    rows = np.random.default_rng(seed).normal(size=(count, DIM)).astype(np.float32)
-    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +18,8 @@ def capture() -> tuple[ds.Gaussians, list[ds.View], dict[str, ds.ViewFeatures]]:
     views = [look_at_view(eye, width=64, height=48) for eye in eyes]
     views = [ds.View(f"{i}.png", view.K, view.cam_from_world, view.width, view.height) for i, view in enumerate(views)]
     features = {
-        view.name: ds.ViewFeatures(random_mask_map(48, 64, 6, seed=i), unit_rows(6, i)) for i, view in enumerate(views)
+        view.name: ds.ViewFeatures(random_mask_map(48, 64, 6, seed=i), unit_rows(np.random.default_rng(i), 6, DIM))
+        for i, view in enumerate(views)
     }
     return random_gaussians(500, seed=3), views[::-1], features
 

@@ -20,7 +20,6 @@ from drsplat.field.codes.mixture import (
     train_scene_atoms,
 )
 from drsplat.field.evidence.evidence import Evidence
-from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.scene.encoders import EncoderIdentity
 from fields import SCENE, TOY, random_evidence, unit_rows
 from mutations import bounded_allocations
@@ -143,12 +142,6 @@ def test_idle_centres_move_to_where_the_fit_is_worst():
         train_scene_atoms(points[:0], 3)
 
 
-def test_threads_change_no_bit():
-    one, three = (encode_mixture(evidence(), scene_atoms=20, threads=t) for t in (1, 3))
-    for name, array in one.tensors().items():
-        assert_array_equal(array, three.tensors()[name])
-
-
 def test_more_masks_than_ids_keep_those_used_most(monkeypatch):
     """65,536 is far more than a test wants; the rule is the same."""
     full = encode_mixture(evidence(), scene_atoms=5)
@@ -219,18 +212,6 @@ def test_it_can_always_become_a_product_quantised_code():
     other = train_codebook(unit_rows(default_rng(0), 9, 16), 4, encoder=SMALL)
     with refused("16 numbers for features of 32"):
         recoded(code(), other)
-
-
-def test_a_file_holds_it(tmp_path):
-    write_tensors(tmp_path / "a", code().tensors())
-    tensors, _ = map_tensors(tmp_path / "a")
-    found = mixture_from_tensors(tensors, "a")
-    assert isinstance(found.blocks.ids, np.ndarray)
-    assert not found.blocks.ids.flags.writeable
-    query = unit_rows(default_rng(10), 3, 32)
-    assert_array_equal(found.scores(query), code().scores(query))
-    size = (tmp_path / "a").stat().st_size
-    assert found.nbytes + found.atoms.nbytes == code().nbytes + code().atoms.nbytes < size
 
 
 def test_missing_arrays_are_named():

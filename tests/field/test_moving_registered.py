@@ -18,7 +18,7 @@ from drsplat.field.growing import add_views, change_field, remove_views, with_we
 from drsplat.field.registration import Registration
 from drsplat.scene.moving import Frames, Moving
 from drsplat.scene.views import View
-from growing_fields import features, files_of, scene, views
+from growing_fields import Killed, features, files_of, scene, views
 from moving_scenes import still
 from refusing import refused
 
@@ -188,10 +188,6 @@ def test_another_encoder_takes_the_weights_of_a_film():
     assert swapped.masks.times is not None
     with pytest.raises(MismatchError, match="other masks or poses"):
         with_weights_of(field, sliding(), timed(np.linspace(1, 0, 7)), features(1))
-
-
-class Killed(BaseException):
-    pass
 
 
 def test_a_killed_registration_goes_on_to_the_same_bits(tmp_path, monkeypatch):

@@ -175,15 +175,18 @@ def test_one_writer_at_a_time(labels, field):
     assert [path.name for path in labels.path.parent.iterdir()] == ["a.labels.json"]
 
 
+LABEL = {"name": "a", "scene": "b", "center": [0, 0, 0], "runs": [0, 1]}
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"format": "labels"}, "expected 'drsplat labels'"),
-        ({"version": 2}, "this drsplat reads 1"),
-        ({"labels": {}}, "a list of up to 10,000 labels"),
-        ({"labels": [0] * 10_001}, "a list of up to 10,000 labels"),
-        ({"labels": [[]]}, "label 0: expected an object"),
-        ({"name": 3}, "a name, the fingerprint"),
+        ({"version": 2}, "expected 'drsplat labels' of version 1, got 2"),
+        ({"labels": {}}, "labels: expected a list"),
+        ({"labels": [LABEL] * 10_001}, "up to 10,000 labels"),
+        ({"labels": [[]]}, "labels: 0: expected an object with name, scene"),
+        ({"name": 3}, "name: expected a text"),
         ({"name": " "}, "expected a text"),
         ({"runs": [1]}, "pairs of lengths"),
         ({"runs": []}, "one or more"),

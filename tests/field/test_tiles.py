@@ -31,7 +31,7 @@ from drsplat.field.tiles.store import Remote
 from drsplat.formats.sources import Block, Keep, blocks_of, read_blocks, sources_of
 from drsplat.formats.tiles import TILES, Tiles, read_tiles
 from drsplat.kernels import splat_arrays, view_weights
-from drsplat.scene.morton import morton_codes, morton_order
+from drsplat.scene.morton import morton_codes
 from fields import unit_rows
 from refusing import malformed, refused
 from scenes import look_at_view
@@ -75,10 +75,6 @@ def test_morton_codes_are_those_of_interleaved_bits():
         for row in cells
     ]
     assert morton_codes(cells.astype(np.float64)).tolist() == expected
-
-
-def test_rows_of_one_cell_stay_in_order():
-    assert_array_equal(morton_order(np.zeros((5, 3))), np.arange(5))
 
 
 def test_tiles_hold_each_gaussian_once_to_the_bit(tmp_path):
@@ -395,8 +391,7 @@ def test_atoms_that_cannot_be_addressed_are_left_out_of_tiles_too(monkeypatch, t
     }
     made = register_tiles(tiles, views, others, parts=parts, threads=1)
     most = len(made.to_field(ds.Mixture()).code.atoms) - 2
-    for module in ("field.codes.mixture.encoding", "field.tiles.registering"):
-        monkeypatch.setattr(f"drsplat.{module}.MAX_ATOMS", most)
+    monkeypatch.setattr("drsplat.field.codes.mixture.encoding.MAX_ATOMS", most)
     whole = ds.register(tiles.gaussians(), views, others).to_field(ds.Mixture())
     assert 1 < len(whole.code.atoms) <= most
     assert made.to_field(ds.Mixture()).equals(whole)
@@ -437,44 +432,28 @@ def test_a_damaged_part_is_made_again(tmp_path, tiles, parts, views, features):
     assert_array_equal(made.weights.toarray(), expected)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
-def test_an_object_store_holds_the_work(tmp_path, launcher, monkeypatch, tiles, views, features, at_once):
-    """Of workers that see neither the tiles' folder nor that of the features."""
+@pytest.fixture
+def bucket(tmp_path, monkeypatch) -> Path:
+    """The folder of an object store; what is copied from it here is beside it."""
     pytest.importorskip("fsspec", reason="needs fsspec")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    url = f"local://{tmp_path}/bucket"
-    made, work = counted(tiles, views, features, parts=url, launcher=launcher, threads=1)
-    assert work.views == 4
-    assert saved(made.to_field(), tmp_path / "a.field") == saved(at_once.to_field(), tmp_path / "b.field")
-    for cached in tmp_path.glob("drsplat-store-*"):  # another machine has none of it
-        cached.rename(tmp_path / "gone")
-    again, work = counted(tiles, views, features, parts=url, threads=1)
-    assert (work.views, work.runs) == (0, 0)
-    assert_array_equal(again.weights.data, at_once.weights.data)
+    return tmp_path / "bucket"
 
 
-def test_an_address_that_held_another_scene(tmp_path, monkeypatch, tiles, views, features):
+def test_an_address_that_held_another_scene(tmp_path, bucket, tiles, views, features):
     """Of as many Gaussians in tiles of the same names."""
-    pytest.importorskip("fsspec", reason="needs fsspec")
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
     whole = tiles.gaussians()
     ds.write_gaussians(tmp_path / "scene.ply", replace(whole, scales=whole.scales * np.float32(0.5)))
     second = cut(blocks_of([tmp_path / "scene.ply"]), tmp_path / "second.tiles", 37)
     for scene in (tiles, second):
-        made = register_tiles(scene, views, features, parts=f"local://{tmp_path}/bucket", threads=1)
+        made = register_tiles(scene, views, features, parts=f"local://{bucket}", threads=1)
         expected = ds.register(scene.gaussians(), views, features)
         assert_array_equal(made.weights.toarray(), expected.weights.toarray())
 
 
-def test_what_was_made_and_not_sent_is_sent(tmp_path, monkeypatch, tiles, views, features):
+def test_what_was_made_and_not_sent_is_sent(bucket, tiles, views, features):
     """Killed in between, on the machine that goes on; others need it too."""
-    pytest.importorskip("fsspec", reason="needs fsspec")
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    bucket = tmp_path / "bucket"
     how = {"parts": f"local://{bucket}", "threads": 1}
     register_tiles(tiles, views, features, **how)
     there = {file.relative_to(bucket) for file in bucket.rglob("*.safetensors")}

@@ -1,12 +1,9 @@
 """A tileset of ours in CesiumJS, in a real browser: where it lies, which level is loaded, and what is shown."""
 
-from collections.abc import Iterator
-from typing import Any
-
 import numpy as np
 import pytest
 
-from browsing import a_browser, a_page, eventually, needs_chromium, pixels_of
+from browsing import a_page, eventually, needs_chromium, pixels_of
 from drsplat.formats.georeference import Georeference
 from drsplat.formats.tiles3d_writing import write_tiles3d
 from drsplat.scene.gaussians import SH_C0, Gaussians
@@ -17,12 +14,6 @@ from foreign_viewing import serving
 pytestmark = [needs_chromium, needs_packages("cesium"), pytest.mark.oracle, pytest.mark.slow]
 NORTH_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # of a PLY, whose y is down
 COUNT, ROWS = 400, 100
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with a_browser() as browser:
-        yield browser
 
 
 def wall() -> Gaussians:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import zlib
@@ -22,7 +21,7 @@ from drsplat.field.codes import PQ, Mixture, load_codebook, save_codebook
 from drsplat.formats.replacing import replacing, sweep, together
 from drsplat.formats.tensors import map_tensors, read_tensors, sealed, write_tensors
 from drsplat.formats.vocabulary import read_vocabulary
-from fields import SCENE, TOY, as_version_2, random_evidence, toy_field, unit_rows
+from fields import SCENE, TOY, random_evidence, toy_field, unit_rows, without_checksums
 from mutations import quota
 from refusing import malformed
 
@@ -104,10 +103,6 @@ def test_inspect_verifies(tmp_path, capsys):
     verified = answer_of(capsys, "inspect", path, "--verify")["verified"]
     del manifest["crc32"]
     assert verified == sorted(["field.json", *manifest["files"]])
-    old = tmp_path / "old.field"
-    shutil.copytree(path, old)
-    (old / "field.json").write_text(json.dumps({**manifest, "version": 2}))
-    assert answer_of(capsys, "inspect", old, "--verify")["verified"] == []  # it has no checksums
     damage(path / "negatives.safetensors", "maxima")
     assert "'maxima' is not what was written" in error_of(capsys, "inspect", path, "--verify")
 
@@ -150,20 +145,10 @@ def test_vocabularies_of_other_numbers_are_refused(dtype, tmp_path):
         read_vocabulary(tmp_path / "a.safetensors")
 
 
-def test_fields_of_version_2_have_no_checksums_and_load(tmp_path):
-    path = saved_field(tmp_path)
-    expected = answers(load_field(path))
-    as_version_2(path)
-    field = load_field(path)
-    field.verify()
-    assert answers(field) == expected
-
-
-def test_a_field_of_this_version_without_checksums_is_refused(tmp_path):
+def test_a_field_without_checksums_is_refused(tmp_path):
     path = saved_field(tmp_path)
     manifest = json.loads((path / "field.json").read_text())
-    as_version_2(path)
-    (path / "field.json").write_text(json.dumps(manifest))
+    without_checksums(path / "negatives.safetensors")
     with malformed("checksum of every tensor"):
         load_field(path).verify()
     manifest.pop("crc32")

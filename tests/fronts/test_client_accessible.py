@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from browsing import a_page, needs_chromium, opened
+from clients import served
 from drsplat.fronts.viewing.exporting import export_page
 from drsplat.fronts.viewing.session import Session
 from drsplat.query import open_scene
 from drsplat.scene.labelled import Annotation
-from live_clients import served
 from places import SUPPORT
 
 pytestmark = [needs_chromium, pytest.mark.slow]

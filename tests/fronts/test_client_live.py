@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
-pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
-
 from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromium, opened, pixels_of, settled
+from clients import served
 from drsplat.authoring.editing import Duplicate
 from drsplat.fronts.viewing.exporting import export_page
 from drsplat.fronts.viewing.session import Mode, Session
 from drsplat.fronts.viewing.stage import Stage
 from drsplat.query import Scene, open_scene
 from drsplat.scene.labelled import Annotation
-from live_clients import served
 
 pytestmark = [needs_chromium, pytest.mark.slow]
 SIZES = {"desk": (1100, 700), "hand": (390, 844)}

@@ -9,20 +9,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
-pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
-
-from drsplat import open_scene, write_gaussians
+from clients import Viewer, a_viewer, camera, opened, ray_to, room_viewer
+from drsplat import write_gaussians
 from drsplat.authoring.editing import EditFile
 from drsplat.authoring.filming.looking import before
 from drsplat.fronts.viewing.live import arrays
 from drsplat.fronts.viewing.session import Mode, Session
-from drsplat.query import Scene
 from drsplat.scene.gaussians import significance
-from live_clients import Viewer, a_viewer, camera, opened
 from moving_scenes import passing_red_scene
 from scenes import random_gaussians
-from viewing_scenes import CENTERS, EACH, THINGS, boxes_scene
+from viewing_scenes import CENTERS, EACH, THINGS
 
 COUNT = 3 * EACH + 60
 
@@ -35,25 +31,13 @@ def viewer() -> Iterator[Viewer]:
 
 @pytest.fixture
 def furnished(room: Path) -> Iterator[Viewer]:
-    """A room on disk with a red and a blue ball, its photos and its objects."""
-    with a_viewer(Session(open_room(room))) as one:
+    with room_viewer(room) as one:
         yield one
-
-
-def open_room(room: Path) -> Scene:
-    return open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture", threads=1)
 
 
 def rows_of(viewer: Viewer) -> np.ndarray:
     """The row of the scene that each row of the arrays is of."""
     return viewer.session.drawn.ids[viewer.shared.stage.order]
-
-
-def ray_to(viewer: Viewer, point: Any) -> dict[str, list[float]]:
-    """A click from the side on a place of the world."""
-    frame = viewer.session.shown.frame
-    start, end = frame.shown(np.array(point) - [0.0, 4.0, 0.0]), frame.shown(np.array(point, np.float64))
-    return {"origin": start.tolist(), "direction": (end - start).tolist()}
 
 
 def things_with(viewer: Viewer, name: str) -> list[np.ndarray]:
@@ -92,13 +76,6 @@ def test_rows_come_in_pieces_of_which_none_is_large(viewer, monkeypatch):
         beyond = viewer.get(f"{path}{more}from={COUNT}")
         assert beyond.status_code == 422
         assert "expected a row below 960" in beyond.text
-
-
-def test_a_budget_is_kept_and_said():
-    with a_viewer(Session(boxes_scene(), 100)) as viewer:
-        assert len(viewer.arrays("/view/splats")["opacity"]) == 100
-        assert len(viewer.arrays("/view/paint")["heat"]) == 100
-        assert "100 most significant of 960" in viewer.header()["about"]
 
 
 def test_paint_says_which_query_each_row_is_of(viewer):
@@ -190,17 +167,6 @@ def test_a_header_says_where_to_begin_and_what_can_be_done(viewer):
     assert photo["fov"] == pytest.approx(np.degrees(2 * np.arctan(view.height / 2 / view.K[1, 1])))
     assert header["times"] is None
     assert header["objects"] == []
-
-
-def test_words_are_suggested_once_the_encoder_is_there(viewer):
-    first = viewer.header()
-    assert first["words"] == []
-    viewer.lanes.change(viewer.shared.prepare).result(60)
-    header, state = viewer.header(), viewer.state()
-    assert set(header["words"]) <= set(THINGS)
-    assert header["words"]
-    assert state["header"] == header["header"] > first["header"]
-    assert state["scene"] == first["scene"]
 
 
 def test_a_header_lists_objects_with_places_to_see_them_from(furnished):
@@ -436,15 +402,11 @@ def test_edits_and_annotations_are_kept_beside_the_scene(furnished, room):
     assert state["kept"]
     furnished.do("annotate", text="the red one", at="selection")
     assert len(EditFile.beside(room / "scene.ply").read(furnished.session.scene.gaussians).edits) == 1
-    with a_viewer(Session(open_room(room))) as again:
+    with room_viewer(room) as again:
         anew = again.state()
         assert [one["what"] for one in anew["edits"]] == ["move"]
         assert [one["text"] for one in anew["annotations"]] == ["the red one"]
-        assert_array_equal(again.arrays("/view/splats")["centers"], moved_centers(furnished))
-
-
-def moved_centers(viewer: Viewer) -> np.ndarray:
-    return viewer.arrays("/view/splats")["centers"]
+        assert_array_equal(*(one.arrays("/view/splats")["centers"] for one in (again, furnished)))
 
 
 def test_annotations_are_at_boxes_and_at_clicks(viewer):

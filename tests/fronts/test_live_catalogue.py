@@ -11,11 +11,11 @@ from PIL import Image
 from test_catalogue import WORDS
 
 from catalogued import boxes_of, write_scene
+from clients import Browser, Viewer, a_viewer
+from clients import error_of as refusal_of
 from command_line import error_of
 from drsplat import read_gaussians
 from drsplat.query.catalogue import Catalogue
-from live_clients import Browser, Viewer, a_viewer
-from live_clients import error_of as refusal_of
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
-
-pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
-pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
-
 from test_film_paths import nerfstudio_file
 
+from clients import Viewer, a_viewer, camera, error_of, room_viewer
 from drsplat import open_scene, read_gaussians, write_gaussians
 from drsplat.authoring.editing import Remove
 from drsplat.authoring.filming.paths import read_path
@@ -28,7 +25,6 @@ from drsplat.fronts.viewing.live import files
 from drsplat.fronts.viewing.live.uploads import root_of
 from drsplat.fronts.viewing.session import Session
 from glb_files import Read
-from live_clients import Viewer, a_viewer, camera, error_of
 from scenes import random_gaussians
 from viewing_scenes import EACH, THINGS, boxes_scene
 
@@ -46,8 +42,7 @@ def viewer(tmp_path: Path) -> Iterator[Viewer]:
 
 @pytest.fixture
 def furnished(room: Path) -> Iterator[Viewer]:
-    scene = open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture", threads=1)
-    with a_viewer(Session(scene)) as one:
+    with room_viewer(room) as one:
         yield one
 
 

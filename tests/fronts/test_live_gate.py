@@ -7,19 +7,15 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
-pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
-
 from browsing import eventually
+from clients import HOST, OWN, Stream, Viewer, a_viewer, error_of
 from drsplat.errors import DrSplatError, InputError
 from drsplat.fronts.serving.replies import BusyError
 from drsplat.fronts.viewing.live import service
@@ -32,7 +28,7 @@ from drsplat.fronts.viewing.live.uploads import UploadLimits, checked_path
 from drsplat.fronts.viewing.saving import Saves
 from drsplat.fronts.viewing.session import Session
 from drsplat.query import Scene
-from live_clients import HOST, OWN, Stream, Viewer, a_viewer, error_of
+from processes import asked
 from viewing_scenes import THINGS, boxes_scene
 
 JSON = {"content-type": "application/json"}
@@ -123,21 +119,7 @@ def test_no_page_of_another_site_may_read_answers(viewer):
 
 
 def test_two_names_in_one_request_are_none(viewer):
-    async def asked() -> int:
-        sent: list[Any] = []
-
-        async def receive() -> dict[str, Any]:
-            return {"type": "http.request"}
-
-        async def send(message: Any) -> None:
-            sent.append(message)
-
-        hosts = [(b"host", HOST.encode()), (b"host", b"evil.example")]
-        scope = {"type": "http", "method": "GET", "path": "/", "query_string": b"", "headers": hosts, "client": None}
-        await viewer.gate(scope, receive, send)
-        return int(sent[0]["status"])
-
-    assert asyncio.run(asked()) == 403
+    error_of(viewer.send("GET", "/", [("host", HOST), ("host", "evil.example")]), 403)
 
 
 # --- beyond this machine ---
@@ -214,20 +196,11 @@ def listened() -> Iterator[service.Service]:
             yield one
 
 
-def asked(one: service.Service, method: str, path: str, body: str = "", **headers: str) -> tuple[int, bytes]:
-    port = one.listening.getsockname()[1]
-    with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=60)) as connection:
-        connection.request(method, path, body or None, headers)
-        answer = connection.getresponse()
-        return answer.status, answer.read()
-
-
 def test_a_service_answers_what_it_was_asked_first_and_ends_with_streams_open(listened):
-    eventually(lambda: b'"text":"red mug"' in asked(listened, "GET", "/view/state")[1])
-    eventually(lambda: b'"words":["' in asked(listened, "GET", "/view/header")[1])  # nothing more comes by itself
     port = listened.listening.getsockname()[1]
-    own = {"Origin": f"http://127.0.0.1:{port}", "Content-Type": "application/json"}
-    assert asked(listened, "POST", "/view/do", ASK, **own)[0] == 200
+    eventually(lambda: b'"text":"red mug"' in asked(port, "GET", "/view/state")[1])
+    eventually(lambda: b'"words":["' in asked(port, "GET", "/view/header")[1])  # nothing more comes by itself
+    assert asked(port, "POST", "/view/do", json.loads(ASK), Origin=f"http://127.0.0.1:{port}")[0] == 200
     stream = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
     stream.request("GET", "/view/events")
     answer = stream.getresponse()
@@ -240,11 +213,12 @@ def test_a_service_answers_what_it_was_asked_first_and_ends_with_streams_open(li
 
 
 def test_what_is_no_request_says_nothing_here(listened, caplog, capfd):
-    with socket.create_connection(("127.0.0.1", listened.listening.getsockname()[1])) as one:
+    port = listened.listening.getsockname()[1]
+    with socket.create_connection(("127.0.0.1", port)) as one:
         one.sendall(b"\x1b]0;owned\x07\r\n\r\n")
         one.settimeout(60)
         assert b"owned" not in one.recv(4096)
-    assert asked(listened, "GET", "/")[0] == 200
+    assert asked(port, "GET", "/")[0] == 200
     assert "owned" not in caplog.text
     assert "owned" not in "".join(capfd.readouterr())
 
@@ -307,26 +281,22 @@ def test_a_silent_stream_beats_and_a_slow_one_gets_only_the_latest():
 
 
 def test_an_address_that_asks_too_often_is_told_to_wait(viewer, monkeypatch):
-    paced, now = service.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
-    monkeypatch.setattr(service.time, "monotonic", lambda: now[0])
-    scope = {"client": ("10.0.0.1", 1)}
-    assert all(paced._is_paced(scope) for _ in range(int(service.BURST_REQUESTS)))
-    assert not paced._is_paced(scope)
-    assert paced._is_paced({"client": ("10.0.0.2", 1)})
-    now[0] += 1
-    assert sum(paced._is_paced(scope) for _ in range(1000)) == int(service.REQUESTS_PER_SECOND)
-    for number in range(2 * service.MAX_PEERS):
-        paced._is_paced({"client": (f"10.1.{number // 256}.{number % 256}", 1)})
-    assert len(paced._paces) == service.MAX_PEERS
-
-
-def test_a_flood_is_told_to_wait_and_goes_on_later(viewer, monkeypatch):
     viewer.gate, now = service.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
     monkeypatch.setattr(service, "BURST_REQUESTS", 3.0)
+    monkeypatch.setattr(service, "MAX_PEERS", 2)
     monkeypatch.setattr(service.time, "monotonic", lambda: now[0])
-    assert [viewer.send("GET", "/client.js").status_code for _ in range(5)] == [200, 200, 200, 429, 429]
+
+    def asked(peer: str, count: int = 1) -> list[int]:
+        viewer.peer = peer, 1
+        return [viewer.send("GET", "/client.js").status_code for _ in range(count)]
+
+    assert asked("10.0.0.1", 5) == [200, 200, 200, 429, 429]
+    assert asked("10.0.0.2") == [200]
     now[0] += 1
-    assert viewer.send("GET", "/client.js").status_code == 200
+    assert asked("10.0.0.1") == [200]
+    for number in range(9):
+        asked(f"10.1.0.{number}")
+    assert len(viewer.gate._paces) == 2
 
 
 class Busy(Turns):
@@ -363,15 +333,6 @@ def test_what_waits_is_bounded_and_only_the_latest_of_a_drag_is_done():
     turns.stop()
 
 
-def test_an_act_that_fails_leaves_the_thread_alive():
-    turns = Turns()
-    with pytest.raises(ZeroDivisionError):
-        turns.submit(lambda: 1 / 0).result(60)
-    assert turns.submit(lambda: 7).result(60) == 7
-    assert turns.waiting == 0
-    turns.stop()
-
-
 @pytest.mark.parametrize(
     ("path", "most"), [("/view/do", service.MAX_ACT_BYTES), ("/view/ask-picture", service.MAX_PICTURE_BYTES)]
 )
@@ -392,13 +353,6 @@ def test_bodies_are_bounded_whatever_their_head_says(viewer, path, most):
     assert sent <= most + (1 << 17)
     assert resident_bytes() - before < 3 * most + (64 << 20)
     assert viewer.gate.large == 0
-
-
-def test_large_bodies_at_once_are_few(viewer):
-    viewer.gate.large = viewer.gate.limits.large_bodies
-    assert "come again" in error_of(viewer.post("/view/ask-picture", bytes(1 << 17)), 503)
-    assert viewer.gate.large == viewer.gate.limits.large_bodies
-    viewer.gate.large = 0
 
 
 # --- what may be said ---
@@ -444,7 +398,6 @@ def test_a_route_that_is_not_there_and_a_method_that_is_not_taken(viewer):
     assert viewer.send("HEAD", "/").status_code == 200
 
 
-NAMES = sorted(get_args(kind.model_fields["act"].annotation)[0] for kind in get_args(AnyAct))
 FIELDS = sorted({name for kind in get_args(AnyAct) for name in kind.model_fields} - {"act"})
 NUMBER = st.one_of(st.integers(-2, 9), st.floats(-1e12, 1e12), st.floats(0, 1), st.sampled_from([1e9, -1e9, 2**40]))
 TEXT = st.one_of(
@@ -476,7 +429,7 @@ def forged(draw: st.DrawFn) -> dict[str, Any]:
     if not draw(st.integers(0, 9)):
         names.append(draw(st.sampled_from(FIELDS)))
     values = {name: draw(LIKELY.get(name, VALUE) if draw(st.integers(0, 5)) else VALUE) for name in names}
-    return {"act": get_args(kind.model_fields["act"].annotation)[0]} | values
+    return {"act": draw(st.sampled_from(get_args(kind.model_fields["act"].annotation)))} | values
 
 
 @pytest.mark.slow
@@ -495,10 +448,6 @@ def test_forged_values_of_every_act_are_no_faults(acts):
         assert count == 2 * len(viewer.session.drawn)
         viewer.do("restore")
         assert viewer.ask("tall lamp")["results"][0]["num_matches"] == 1
-
-
-def test_every_act_is_known_by_one_name():
-    assert len(set(NAMES)) == len(get_args(AnyAct))
 
 
 # --- files that are sent ---
@@ -566,15 +515,6 @@ def stored(viewer: Viewer) -> int:
     return sum(path.stat().st_size for path in viewer.shared.uploads.root.rglob("*") if path.is_file())
 
 
-def test_a_stranger_cannot_fill_the_disk_with_files_that_are_saved(viewer):
-    viewer.shared.saves.files_left = 2
-    for _ in range(2):
-        assert viewer.post("/view/save", {"what": "scene"}).status_code == 200
-    assert "saved enough" in error_of(viewer.post("/view/save", {"what": "scene"}), 422)
-    folder = viewer.shared.saves.folder
-    assert sorted(path.name for path in folder.iterdir()) == ["found-2.ply", "found.ply"]
-
-
 def test_a_photo_outside_of_what_was_sent_is_not_shown(tmp_path):
     """A capture that is sent may name any photo of this machine."""
     from dataclasses import replace
@@ -616,19 +556,6 @@ def test_errors_are_told_to_whoever_asked_and_to_nobody_else(viewer):
     assert "nothing is selected" in viewer.refused("edit", change="remove")
     assert viewer.state()["message"] == ""
     assert viewer.ask("tall lamp")["message"].startswith("tall lamp: 1 match")
-
-
-def test_no_text_of_a_stranger_is_more_than_text(viewer):
-    state = viewer.ask("lamp, not <img src=x>\x1b[2J\u202e")
-    assert "\x1b" not in json.dumps(state, ensure_ascii=False)
-    assert "\u202e" not in json.dumps(state, ensure_ascii=False)
-
-
-def test_arrays_hold_numbers_whatever_is_asked(viewer):
-    viewer.ask("red mug; tall lamp; blue mug")
-    paint = viewer.arrays("/view/paint")
-    assert paint["owner"].max() == 3
-    assert np.isfinite(viewer.arrays("/view/splats")["centers"]).all()
 
 
 def test_what_waits_is_dropped_at_the_end():

@@ -7,16 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
-
+from clients import Browser, Stream, Viewer, a_viewer, error_of, ray_to
 from drsplat.errors import InputError
 from drsplat.fronts.viewing import painting
 from drsplat.fronts.viewing.live import turns
 from drsplat.fronts.viewing.session import Session
-from live_clients import Browser, Stream, Viewer, a_viewer, error_of
 from moving_scenes import passing_red_scene
 from scenes import random_gaussians
-from viewing_scenes import CENTERS, EACH, THINGS, boxes_scene
+from viewing_scenes import CENTERS, EACH, THINGS
 
 
 @pytest.fixture
@@ -51,9 +49,7 @@ def test_thresholds_clicks_modes_and_classes_are_each_browsers_own(viewer):
         browser.ask("red mug")
     one.do("threshold", query=0, value=2.0)
     one.do("mode", mode="heat map")
-    frame = viewer.session.shown.frame
-    origin, direction = frame.shown(np.array(CENTERS[2]) - [0.0, 4.0, 0.0]).tolist(), [0.0, 1.0, 0.0]
-    assert one.do("click", origin=origin, direction=direction)["clicked"]
+    assert one.do("click", **ray_to(viewer, CENTERS[2]))["clicked"]
     one.do("classify", text="mug, lamp")
     state = other.state()
     assert (state["mode"], state["clicked"], state["classes"]) == ("answer", None, None)
@@ -94,8 +90,7 @@ def test_each_browser_stands_at_its_own_time():
 
 
 def test_what_was_clicked_and_found_goes_with_the_next_question(viewer):
-    frame = viewer.session.shown.frame
-    ray = {"origin": frame.shown(np.array(CENTERS[2]) - [0.0, 4.0, 0.0]).tolist(), "direction": [0.0, 1.0, 0.0]}
+    ray = ray_to(viewer, CENTERS[2])
     viewer.do("click", **ray)
     assert viewer.ask("red mug")["clicked"] is None
     assert viewer.do("click", **ray)["clicked"]
@@ -248,13 +243,3 @@ def test_nothing_is_kept_of_thresholds_that_were_dragged(viewer):
     for number in range(5):
         browser.post("/view/do", {"act": "threshold", "query": number, "value": 0.5})
     assert viewer.lanes.quick._latest == {}
-
-
-def test_a_session_that_was_asked_is_begun_with_again():
-    session = Session(boxes_scene(), words=THINGS)
-    session.ask("red mug")
-    with a_viewer(session) as viewer:
-        browser = Browser(viewer)
-        browser.do("clear")
-        assert texts_of(browser) == []
-        assert texts_of(Browser(viewer)) == ["red mug"]

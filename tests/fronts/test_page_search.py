@@ -23,8 +23,9 @@ from drsplat.query.search import split_negation
 from drsplat.query.sentences import parsed
 from drsplat.query.suggesting import words_instead
 from drsplat.scene.gaussians import Gaussians, significance
+from page_files import read_page
 from scenes import look_at_view
-from twins.page_codes import decoded, read_page
+from twins.page_codes import decoded
 
 BAKED = ["red vase", "couch", "something to eat", "laptop"]
 FIFTY = [
@@ -254,4 +255,9 @@ def test_near_words_are_the_same_one_by_one_and_all_at_once():
     queries = np.concatenate([world.texts[:20], World(9, seed=2).texts])
     each = contrast.near_each(world.texts, queries)
     for number, query in enumerate(queries):
-        np.testing.assert_array_equal(each[:, number], contrast._near(world.texts, query))
+        texts = np.concatenate([world.texts, query[None]]).astype(np.float64)
+        same = texts[:-1] @ texts[-1] > 1 - 1e-5
+        texts -= texts.mean(0)
+        texts /= np.linalg.norm(texts, axis=1, keepdims=True)
+        expected = same | (texts[:-1] @ texts[-1] > contrast.SAME_MEANING_COSINE)
+        np.testing.assert_array_equal(each[:, number], expected)

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import urllib.request
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +19,9 @@ from drsplat.errors import pip_install
 from drsplat.formats.spz import parse_spz
 from drsplat.fronts.viewing.client import PAGE_POLICY, filled
 from drsplat.fronts.viewing.exporting import export_page
-from drsplat.fronts.viewing.page import packed
 from drsplat.fronts.viewing.session import Session
 from drsplat.scene.gaussians import significance
+from page_files import read_page
 from viewing_scenes import EACH, THINGS, boxes_scene
 
 
@@ -38,17 +37,10 @@ def export(folder: Path, *more: str) -> int:
     return main(["view", str(folder), "--export", str(folder / "page.html"), *more])
 
 
-def header_and_blob(path: Path) -> tuple[dict, bytes]:
-    text = path.read_text(encoding="utf-8")
-    header = re.search(r'id="header">(.*?)</script>', text, re.DOTALL)
-    blob = re.search(r'id="blob">(.*?)</script>', text, re.DOTALL)
-    return json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
-
-
 def test_a_page_says_from_where_left_and_right_are_meant_and_what_matches_instead(tmp_path):
     scene = boxes_scene()
     export_page(tmp_path / "page.html", scene, ["red mug left of the blue mug", "elephant"])
-    sides, nothing = header_and_blob(tmp_path / "page.html")[0]["answers"]
+    sides, nothing = read_page(tmp_path / "page.html")[0]["answers"]
     assert sides["doubt"] == f"left and right are those of the photo {scene.ask(sides['text']).seen_from}"
     assert "below the threshold of 0.60." in nothing["doubt"]
     assert nothing["instead"] == ["mug", "lamp"]
@@ -57,22 +49,18 @@ def test_a_page_says_from_where_left_and_right_are_meant_and_what_matches_instea
 
 def test_a_page_holds_the_scene_and_its_answers(folder):
     assert export(folder, "--ask", "tall lamp; elephant", "--words", ",".join(THINGS)) == 0
-    header, blob = header_and_blob(folder / "page.html")
-    arrays = {name: (kind, offset, size) for name, kind, offset, size in header["arrays"]}
-    _, offset, size = arrays["owner0"]
-    owners = np.frombuffer(blob, np.uint8, size, offset)
-    assert_array_equal(np.flatnonzero(owners), np.arange(2 * EACH, 3 * EACH))
+    header, arrays = read_page(folder / "page.html")
+    assert_array_equal(np.flatnonzero(arrays["owner0"]), np.arange(2 * EACH, 3 * EACH))
     assert [len(answer["matches"]) for answer in header["answers"]] == [1, 0]
     assert header["search"]["vocabulary"] == list(THINGS)
-    _, offset, size = arrays["things"]
-    things = np.frombuffer(blob, np.uint32, size, offset)
+    things = arrays["things"]
     assert set(things[: 3 * EACH]) == {1}  # of no object
     assert set(things[3 * EACH :]) == {0}  # without a feature
 
 
 def test_a_query_cannot_end_the_script_that_it_is_in(folder):
     assert export(folder, "--ask", "</script><script>alert(1)</script> mug") == 0
-    header, _ = header_and_blob(folder / "page.html")
+    header, _ = read_page(folder / "page.html")
     assert header["answers"][0]["text"].startswith("</script>")
     assert "alert(1)</script>" not in (folder / "page.html").read_text(encoding="utf-8")
 
@@ -89,7 +77,7 @@ def test_a_page_needs_no_network(folder):
 
 def test_the_scene_in_a_page_is_a_file_that_others_read(folder):
     export(folder, "--ask", "mug")
-    header, _ = header_and_blob(folder / "page.html")
+    header, _ = read_page(folder / "page.html")
     found = re.search(r'id="scene" data-name="scene.spz">(.*?)</script>', (folder / "page.html").read_text("utf-8"))
     inside, scene = parse_spz(memoryview(base64.b64decode(found[1]))), boxes_scene()
     weight = significance(scene.gaussians)
@@ -101,7 +89,7 @@ def test_the_scene_in_a_page_is_a_file_that_others_read(folder):
 
 def test_a_page_opens_before_its_first_match(folder):
     export(folder, "--ask", "elephant; tall lamp")
-    header, _ = header_and_blob(folder / "page.html")
+    header, _ = read_page(folder / "page.html")
     (match,) = header["answers"][1]["matches"]
     assert header["target"] == match["center"]
     assert header["eye"] == match["eye"]
@@ -129,7 +117,7 @@ def test_a_scene_without_a_field_becomes_a_page_without_answers(folder, capsys):
     page = ["--export", str(folder / "plain.html"), "--json"]
     assert main(["view", str(folder / "boxes.ply"), *page]) == 0
     assert json.loads(capsys.readouterr().out)["num_shown"] == 3 * EACH + 60
-    header, _ = header_and_blob(folder / "plain.html")
+    header, _ = read_page(folder / "plain.html")
     assert header["answers"] == header["words"] == []
     assert main(["view", str(folder / "boxes.ply"), *page, "--overwrite", "--ask", "mug"]) == 1
     assert "no field" in capsys.readouterr().err
@@ -138,7 +126,7 @@ def test_a_scene_without_a_field_becomes_a_page_without_answers(folder, capsys):
 @pytest.mark.parametrize("ask", ["\x1b[2J mug", "\u202emug", "x" * 100_000])
 def test_any_text_can_be_asked_for_on_a_page(folder, ask):
     assert export(folder, "--ask", ask) == 0
-    header, _ = header_and_blob(folder / "page.html")
+    header, _ = read_page(folder / "page.html")
     assert header["answers"][0]["text"].isprintable()
     assert len(header["answers"][0]["text"]) <= 200
 
@@ -208,17 +196,8 @@ def test_a_budget_is_kept_and_told(folder, capsys):
     answer = json.loads(capsys.readouterr().out)
     assert answer["num_shown"] == 100
     assert answer["num_left_out"] == 3 * EACH + 60 - 100
-    header, _ = header_and_blob(folder / "page.html")
+    header, _ = read_page(folder / "page.html")
     assert "100 most significant" in header["about"]
-
-
-def test_packed_arrays_are_where_the_layout_says():
-    arrays = {"a": np.arange(3, dtype=np.uint8), "b": np.linspace(0, 1, 5, dtype=np.float32)}
-    layout, blob = packed(arrays)
-    for name, _, offset, size in layout:
-        assert offset % 4 == 0
-        own = arrays[name]
-        assert_array_equal(np.frombuffer(blob, own.dtype, size, offset), own)
 
 
 def test_what_is_filled_in_is_not_filled_again():

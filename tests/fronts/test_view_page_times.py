@@ -1,9 +1,5 @@
 """A page of a scene that moves: what it holds, how much at most, and time in a real browser, on desk and phone."""
 
-import base64
-import json
-import re
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +17,7 @@ from drsplat.fronts.viewing.page import boxes_of, times_of_page
 from drsplat.fronts.viewing.session import Session
 from drsplat.scene.moving import Moving
 from moving_scenes import passing_red_scene
+from page_files import read_page
 
 UP = np.array([0.0, 0, 1])
 CAR = np.arange(100)
@@ -39,19 +36,8 @@ def exported(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return page
 
 
-def parts_of(page: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The header and the arrays, as the page reads them."""
-    text = page.read_text(encoding="utf-8")
-    header, blob = (re.search(rf'id="{name}">(.*?)</script>', text, re.DOTALL) for name in ("header", "blob"))
-    told, data = json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
-    arrays = {
-        name: np.frombuffer(data, f"<{kind[0]}{kind[1]}", count, offset) for name, kind, offset, count in told["arrays"]
-    }
-    return told, arrays
-
-
 def test_a_page_has_what_moves_at_all_times(exported, scene):
-    header, arrays = parts_of(exported)
+    header, arrays = read_page(exported)
     clock = header["clock"]
     assert clock["at"] == scene.moving.times.tolist()
     assert clock["count"] == len(CAR)
@@ -71,7 +57,7 @@ def test_a_page_has_what_moves_at_all_times(exported, scene):
 
 
 def test_boxes_go_along(exported, scene):
-    header, _ = parts_of(exported)
+    header, _ = read_page(exported)
     (car,), (vase,) = (answer["matches"] for answer in header["answers"])
     assert vase["boxes"] == []
     centers = Session(scene).shown.frame.world(np.array(car["boxes"])[:, :3])
@@ -81,7 +67,7 @@ def test_boxes_go_along(exported, scene):
 
 def test_what_stands_still_has_no_times(scene, tmp_path):
     export_page(tmp_path / "page.html", scene.at(0.5), ["red car"], up=UP)
-    header, arrays = parts_of(tmp_path / "page.html")
+    header, arrays = read_page(tmp_path / "page.html")
     assert header["clock"] is None
     assert "places" not in arrays
     assert times_of_page(Session(scene.at(0.5))) is None

@@ -1,17 +1,18 @@
 """The layouts of other tools' exports lead to the same answer (docs/neighbours.md)."""
 
-import json
 import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import drsplat as ds
-from toy_capture import HEIGHT, NEGATIVES, THINGS, WIDTH, write_toy_capture
+from toy_capture import NEGATIVES, THINGS, write_toy_capture
+from written_captures import model_of, transforms_document, write_colmap_text, write_json
 
 NEIGHBOURS = Path(__file__).resolve().parents[2] / "examples/neighbours"
 TURN = np.eye(4)
@@ -26,31 +27,12 @@ def toy(tmp_path_factory) -> Path:
 
 
 def colmap_model(views: list[ds.View], folder: Path) -> None:
-    """As text: one camera for all, and photos without points."""
-    folder.mkdir(parents=True)
-    k = views[0].K
-    (folder / "cameras.txt").write_text(
-        f"# made by another tool\n1 PINHOLE {WIDTH} {HEIGHT} {k[0, 0]} {k[1, 1]} {k[0, 2]} {k[1, 2]}\n"
-    )
-    lines = []
-    for number, view in enumerate(views, 1):
-        x, y, z, w = Rotation.from_matrix(view.cam_from_world[:3, :3]).as_quat()
-        pose = " ".join(map(str, (w, x, y, z, *view.cam_from_world[:3, 3])))
-        lines += [f"{number} {pose} 1 {view.name}", ""]
-    (folder / "images.txt").write_text("\n".join(lines) + "\n")
-    (folder / "points3D.txt").write_text("")
+    """As text, and photos without points."""
+    write_colmap_text(folder, *model_of(views), [])
 
 
-def frames(views: list[ds.View], folder: str, per_frame: bool) -> dict[str, object]:
-    """transforms.json: intrinsics with each frame, as of Polycam's poses, or once, as of Record3D's."""
-    k = views[0].K
-    lens = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "w": WIDTH, "h": HEIGHT}
-    entries = []
-    for view in views:
-        pose = np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1])
-        entry = {"file_path": f"{folder}/{view.name}", "transform_matrix": pose.tolist()}
-        entries.append(entry | (lens if per_frame else {}))
-    return {"camera_model": "OPENCV", "frames": entries} | ({} if per_frame else lens)
+def document_of(views: list[ds.View]) -> dict[str, Any]:
+    return transforms_document(*model_of(views)) | {"camera_model": "OPENCV"}
 
 
 def postshot(views, folder):
@@ -68,20 +50,27 @@ def metashape(views, folder):
 
 
 def polycam(views, folder):
-    document = frames(views, "images", per_frame=True)
+    """Intrinsics with each frame."""
+    document = document_of(views)
     for number, frame in enumerate(document["frames"]):
         frame |= {"depth_file_path": f"depth/{number}.png"}  # which is not there, and not needed
-    (folder / "transforms.json").write_text(json.dumps(document))
+    write_json(folder / "transforms.json", document)
 
 
 def record3d(views, folder):
-    (folder / "transforms.json").write_text(json.dumps(frames(views, "./images", per_frame=False)))
+    """Intrinsics once."""
+    document = document_of(views)
+    for frame in document["frames"]:
+        document |= {key: frame.pop(key) for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")}
+        frame.pop("camera_model")
+        frame["file_path"] = f"./{frame['file_path']}"
+    write_json(folder / "transforms.json", document)
 
 
 def nerfstudio(views, folder):
     record3d(views, folder)
     record = {"transform": TURN[:3].tolist(), "scale": SCALE}
-    (folder / "dataparser_transforms.json").write_text(json.dumps(record))
+    write_json(folder / "dataparser_transforms.json", record)
 
 
 def in_its_frame(gaussians: ds.Gaussians) -> ds.Gaussians:

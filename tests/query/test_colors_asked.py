@@ -65,7 +65,7 @@ def test_the_orange_one_is_a_colour():
 
 def test_objects_of_a_catalogue_are_asked_alike(scene):
     pictures = scene.field.evidence.embeddings
-    objects = Described.of(list(pictures.reshape(3, EACH, -1)[:, :2]), MINI.identity.dim)
+    objects = Described(pictures.reshape(3, EACH, -1)[:, :2].reshape(6, -1), np.array([0, 2, 4, 6]))
     around = Surroundings(scene.field, lambda: MINI, pictures[::50])
     query = Query("something red")
     np.testing.assert_array_equal(around.rank(query, around.vector(query), objects).selected, [True, False, False])

@@ -44,7 +44,8 @@ def pictured(*texts: str) -> np.ndarray:
 
 
 def objects(*parts: np.ndarray) -> Described:
-    return Described.of(parts, 512)
+    rows = np.concatenate([np.empty((0, 512), np.float32), *parts])
+    return Described(rows, np.append(0, np.cumsum([len(part) for part in parts], dtype=np.int64)))
 
 
 def ranked(encoder: Encoder, query: Query, described: Described, usual: np.ndarray) -> tuple[list[float], list[bool]]:

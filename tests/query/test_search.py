@@ -60,11 +60,6 @@ def test_another_encoder_and_no_negatives_are_refused():
         Scene(field, encoder=ToyEncoder()).ask(Query("sofa", negatives=()))
 
 
-def test_query_vectors_are_float32_of_the_fields_dimension():
-    vector = embed_query(ToyEncoder(), toy_field(), "sofa")
-    assert (vector.shape, vector.dtype) == ((32,), np.float32)
-
-
 @pytest.mark.parametrize(
     ("text", "wanted", "unwanted"),
     [
@@ -103,11 +98,6 @@ def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(more, un
     rivals = np.float32([feature @ encoder.encode_texts([f"{unwanted} {query}"])[0]])
     left_out = without(scores, rivals)[0] == UNSELECTED_COSINE
     assert left_out == (unwanted in said_of_it)
-
-
-def test_without_keeps_what_fits_better_than_every_rival():
-    scores, rivals = np.float32([0.3, 0.3, 0.3]), np.float32([0.2, 0.3, 0.4])
-    assert_array_equal(without(scores, rivals), np.float32([0.3, -1, -1]))
 
 
 def test_queries_leave_out_what_is_not_meant():

@@ -88,15 +88,6 @@ def test_things_apart_are_counted_apart_and_together_when_linked():
     assert len(locate(Answer.of(field, scores, 0.5), scene, link_distance=0.9)) == 1
 
 
-def test_the_best_score_comes_first():
-    scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
-    field = field_of(scene, labels)
-    mixed = field.scores(unit(0) * 0.6 + unit(1) * 0.8)
-    found = locate(Answer.of(field, mixed, 0.3), scene)
-    assert [round(thing.score, 1) for thing in found] == [0.8, 0.6]
-    assert_allclose(found[0].center, (2, 0, 0), atol=0.03)
-
-
 def test_nothing_found_is_an_answer_and_crumbs_are_left_out():
     scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
     field = field_of(scene, labels)

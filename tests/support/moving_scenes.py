@@ -1,21 +1,19 @@
 """Small scenes that move, for tests."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from drsplat import Mixture, Scene, View, ViewFeatures, WordEncoder, register
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.moving import Frames, Moving
+from fields import with_flat_objects
 from scenes import look_at_view, random_gaussians
+from written_captures import model_of, transforms_document, write_json, write_photo
 
 
 def still(gaussians: Gaussians, times: np.ndarray | None = None) -> Moving:
@@ -93,9 +91,7 @@ def passing_scene(objects: bool = False) -> Scene:
     features = label_masks(moving, views, labels, WORDS)
     field = replace(register(moving, views, features), encoder=WordEncoder.identity).to_field(Mixture())
     if objects:
-        node_of = labels[field.gaussian_ids].astype(np.int32)
-        tree = Tree(node_of, np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
-        field = field.with_objects(describe(field, moving.canonical, tree))
+        field = with_flat_objects(field, moving.canonical, labels[field.gaussian_ids])
     return Scene(field, moving, views)
 
 
@@ -113,16 +109,9 @@ def write_film(folder: Path) -> None:
     moving = passing()
     write_moving(folder / "frames", moving)
     views = passing_views(moving)
-    frames = []
     for view in views:
-        path = folder / "capture" / "images" / view.name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.zeros((view.height, view.width, 3), np.uint8)).save(path)
-        pose = np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1])
-        frames.append({"file_path": f"images/{view.name}", "transform_matrix": pose.tolist()})
-    first = views[0]
-    lens = {"w": first.width, "h": first.height, "fl_x": first.K[0, 0], "fl_y": first.K[1, 1]}
-    (folder / "capture/transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+        write_photo(folder / "capture/images" / view.name, view.width, view.height)
+    write_json(folder / "capture/transforms.json", transforms_document(*model_of(views)))
     for name, one in label_masks(moving, views, np.repeat(np.arange(3), 100), WORDS).items():
         stem = str(Path(name).with_suffix(""))
         write_features(folder / "capture/language_features", stem, one.mask_ids, one.embeddings, form="compact")

@@ -15,6 +15,7 @@ from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.moving import Frames, Moving
+from fields import with_flat_objects
 from scenes import look_at_view
 
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
@@ -82,4 +83,21 @@ def write_toy_capture(folder: Path) -> Path:
     texts = [*THINGS, *NEGATIVES]
     vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))
     (folder / "clip_texts.json").write_text(json.dumps(vectors))
+    return folder
+
+
+def balls_field(folder: Path, gaussians: ds.Gaussians | None = None) -> ds.LanguageField:
+    """The field of a toy capture, of its own scene unless others are given; both balls are objects."""
+    scene = ds.read_gaussians(folder / "scene.ply") if gaussians is None else gaussians
+    features = ds.read_features(folder / "capture/language_features", encoder=ds.WordEncoder.identity)
+    field = ds.register(scene, ds.read_views(folder / "capture"), features).to_field()
+    rows = scene.extra.get("source_row", np.arange(len(scene)))[field.gaussian_ids]
+    return with_flat_objects(field, scene, rows // PER_THING)
+
+
+def write_balls(folder: Path) -> Path:
+    """A room to edit: scene.ply, room.field, which knows both balls as objects, and capture/ in a folder."""
+    write_toy_capture(folder)
+    (folder / "points.ply").unlink()  # it has the same places: another scene beside the field
+    balls_field(folder).save(folder / "room.field")
     return folder

@@ -25,8 +25,8 @@ from drsplat.formats.ply import write_vertices
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.training import everyday
-from furnished.capture import write_model
 from places import IMPORTED
+from written_captures import model_of, write_colmap_text
 
 BUSY = ds.TrainingSettings(
     iterations=120,
@@ -64,13 +64,12 @@ def capture(views, tmp_path_factory) -> Path:
     """A COLMAP text model of every fourth view, with points."""
     folder = tmp_path_factory.mktemp("capture")
     (folder / "images").mkdir()
-    (folder / "sparse/0").mkdir(parents=True)
     some = views[::4]
     for view in some:
         (folder / "images" / view.name).write_bytes(view.image_path.read_bytes())
-    write_model(folder / "sparse/0", some)
-    lines = [f"{i} {x} {y} {z} {r} {g} {b} 0.5\n" for i, ((x, y, z), (r, g, b)) in enumerate(zip(*POINTS, strict=True))]
-    (folder / "sparse/0/points3D.txt").write_text("".join(lines))
+    places, colors = (column.tolist() for column in POINTS)
+    points = [(k, *point) for k, point in enumerate(zip(places, colors, strict=True))]
+    write_colmap_text(folder / "sparse/0", *model_of(some), points)
     return folder
 
 

@@ -1,11 +1,6 @@
 """A page's features, decoded: the field that its client searches, to be asked by the engine itself."""
 
-import base64
-import json
-import re
-import zlib
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +8,6 @@ import numpy as np
 from drsplat.field.codes.code import Best, Hits
 from drsplat.photos.models.mini import MiniEncoder
 from drsplat.query import Scene
-
-KINDS = {"f4": np.float32, "f2": np.float16, "u1": np.uint8, "u2": np.uint16, "u4": np.uint32}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +50,6 @@ class Dense:
         scores = self.scores(queries)
         second = np.sort(np.concatenate([np.full_like(scores[:1], -np.inf), scores]), axis=0)[-2]
         return Best(scores.argmax(axis=0).astype(np.int32), scores.max(axis=0), second)
-
-
-def read_page(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the header of a page, and its arrays."""
-    text = path.read_text(encoding="utf-8")
-    header, blob = (re.search(f'id="{name}">(.*?)</script>', text, re.DOTALL) for name in ("header", "blob"))
-    assert header is not None
-    assert blob is not None
-    document, data = json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
-    arrays = {name: np.frombuffer(data, KINDS[kind], size, at) for name, kind, at, size in document["arrays"]}
-    return document, arrays
 
 
 def decoded(scene: Scene, arrays: dict[str, np.ndarray], order: np.ndarray) -> Scene:

@@ -79,7 +79,7 @@ def _stem(word: str) -> str:
 def term_shares(pixels: Colors) -> Float32[np.ndarray, "n 11"]:
     """Return how far each sRGB pixel is called by each of COLORS, 1 in all."""
     red, green, blue = (pixels >> SHIFT).T
-    return np.asarray(_cube()[red, green, blue])
+    return _cube()[red, green, blue]
 
 
 @cache

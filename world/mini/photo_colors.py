@@ -97,7 +97,7 @@ def _rgb_of(lab: np.ndarray) -> np.ndarray:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # colours that no screen shows are clipped
-        return np.asarray(lab2rgb(np.clip(lab, [0, -110, -110], [100, 110, 110])))
+        return lab2rgb(np.clip(lab, [0, -110, -110], [100, 110, 110]))
 
 
 def _lit(linear: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -121,7 +121,7 @@ def wanted(cut: Cut) -> Float64[np.ndarray, " 11"]:
     pixels, mask = cut
     shares = term_shares(pixels[mask]).mean(0, dtype=np.float64) * np.where(NEUTRAL, NEUTRAL_WEIGHT, 1)
     sharp = (shares / shares.sum()) ** SHARPNESS
-    return np.asarray(sharp / sharp.sum())
+    return sharp / sharp.sum()
 
 
 def embedded(some: Sequence[Cut], encoder: MiniEncoder) -> Float32[np.ndarray, "n d"]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..looks import VIVID, Color, Split, Wardrobe, color, plain, shaded
-from ..meshes import Mesh, box, cylinder, extrude, joined, lathe, pillow, rounded, sphere, sweep
+from ..meshes import Mesh, box, cylinder, extrude, joined, lathe, pillow, ring, rounded, solid, sphere, sweep
 from ..thing import Thing, build
 
 Rng = np.random.Generator
@@ -24,13 +24,11 @@ def book(rng: Rng, split: Split) -> Thing:
         for a, b, x in ((0.10, 0.68, 0.22), (0.05, 0.45, 0.08))
     ]
     band = [box((tall * 0.03, 0.0006, thick * 0.999)).moved(x=tall * x, y=-wide / 2 - 0.0002) for x in (-0.36, 0.36)]
-    pieces = [
-        (plain("paper", shade), joined(*boards, spine)),
-        (plain("paper", PAPER), pages), (print_, joined(*title, *band)),
-    ]  # fmt: skip
-    if rng.random() < 0.45:
-        pieces = [(look, mesh.turned("y", -90).turned("z", 90)) for look, mesh in pieces]
-    return build("book", shade, "paper", *pieces)
+    return build(
+        "book", shade, "paper",
+        (plain("paper", shade), *boards, spine), (plain("paper", PAPER), pages), (print_, *title, *band),
+        turns=(("y", -90), ("z", 90)) if rng.random() < 0.45 else (),
+    )  # fmt: skip
 
 
 def lamp(rng: Rng, split: Split) -> Thing:
@@ -39,7 +37,7 @@ def lamp(rng: Rng, split: Split) -> Thing:
     shade = color(rng, *VIVID, "white", "grey")
     top, drop = wide * rng.uniform(0.5, 0.8), height * rng.uniform(0.36, 0.44)
     base_shade = color(rng, "black", "white", "brown", "grey")
-    foot = lathe([(0, 0), *rounded([(wide * 0.62, 0), (wide * 0.62, 0.014), (0.02, 0.022)]), (0, 0.022)])
+    foot = solid(rounded([(wide * 0.62, 0), (wide * 0.62, 0.014), (0.02, 0.022)]))
     if rng.random() < 0.5:
         stem = sweep([(0, 0, 0.015), (0, 0, height - drop * 0.5)], 0.009)
     else:
@@ -47,12 +45,12 @@ def lamp(rng: Rng, split: Split) -> Thing:
         belly = rounded([(0.03, 0.015), (wide * 0.62, up * 0.35), (0.02, up * 0.85), (0.012, up + drop * 0.4)])
         stem = lathe([(0, 0.015), *belly, (0, up + drop * 0.4)])
     low = height - drop
-    shell = lathe([(wide, low), (top, height), (top - 0.003, height), (wide - 0.003, low), (wide, low)], 48)
+    shell = ring([(wide, low), (top, height), (top - 0.003, height), (wide - 0.003, low)], 48)
     bulb = sphere(0.03).moved(z=height - drop * 0.5)
     cloth = Wardrobe(split, rng).cloth(Color(shade.word, shaded(shade.rgb, 1.1)), metres=0.1)
     return build(
         "lamp", shade, "fabric",
-        (plain("ceramic", base_shade), joined(foot, stem)), (cloth, shell), (plain("glass", (0.96, 0.93, 0.80)), bulb),
+        (plain("ceramic", base_shade), foot, stem), (cloth, shell), (plain("glass", (0.96, 0.93, 0.80)), bulb),
     )  # fmt: skip
 
 
@@ -66,9 +64,8 @@ def vase(rng: Rng, split: Split) -> Thing:
          (neck, height * 0.86), (neck, height * 0.9), (lip, height)], 3,
     )  # fmt: skip
     inner = [(max(r - 0.004, 0.002), max(z, 0.01)) for r, z in outer[::-1]]
-    body = lathe([(0, 0), *outer, *inner, (0, 0.01)])
     look = clothes.maybe_patterned(shade, "ceramic", 0.11, 0.45)
-    return build("vase", shade, "ceramic", (look, body))
+    return build("vase", shade, "ceramic", (look, solid([*outer, *inner])))
 
 
 def plant(rng: Rng, split: Split) -> Thing:
@@ -76,9 +73,7 @@ def plant(rng: Rng, split: Split) -> Thing:
     big = rng.random() < 0.4
     scale = rng.uniform(1.8, 2.6) if big else rng.uniform(0.8, 1.2)
     pot_shade, green = color(rng, "brown", "white", "grey", "orange", "blue"), color(rng, "green")
-    pot = lathe(
-        [(0, 0), (0.045, 0), (0.06, 0.10), (0.066, 0.10), (0.066, 0.12), (0.057, 0.12), (0.055, 0.105), (0, 0.105)]
-    )
+    pot = solid([(0.045, 0), (0.06, 0.10), (0.066, 0.10), (0.066, 0.12), (0.057, 0.12), (0.055, 0.105)])
     soil = cylinder(0.056, 0.004).moved(z=0.104)
     count, long, wide = (int(rng.integers(14, 22)), rng.uniform(0.16, 0.24), rng.uniform(0.035, 0.065))
     leaves = []
@@ -86,12 +81,12 @@ def plant(rng: Rng, split: Split) -> Thing:
         steep = 0.25 + 1.5 * (k / count) ** 1.2
         leaf = _blade(long * rng.uniform(0.75, 1.05), wide, steep, rng.uniform(0.3, 0.8))
         leaves.append(leaf.turned("z", 137.5 * k + rng.uniform(-15, 15)).moved(z=0.105))
-    looks = [plain("leaf", green), plain("leaf", shaded(green.rgb, 0.72))]
-    pieces = [
+    return build(
+        "plant", green, "leaf",
         (plain("ceramic", pot_shade), pot), (plain("paper", (0.16, 0.10, 0.07)), soil),
-        (looks[0], joined(*leaves[::2])), (looks[1], joined(*leaves[1::2])),
-    ]  # fmt: skip
-    return build("plant", green, "leaf", *((look, mesh.scaled(scale, scale, scale)) for look, mesh in pieces))
+        (plain("leaf", green), *leaves[::2]), (plain("leaf", shaded(green.rgb, 0.72)), *leaves[1::2]),
+        scale=scale,
+    )  # fmt: skip
 
 
 def _blade(length: float, width: float, steep: float, droop: float) -> Mesh:
@@ -108,52 +103,26 @@ def candle(rng: Rng, split: Split) -> Thing:
     """A pillar candle on a saucer, alight."""
     radius, height = rng.uniform(0.022, 0.034), rng.uniform(0.09, 0.17)
     shade = color(rng, *VIVID, "white", "white")
-    wax = lathe(
-        [
-            (0, 0.008),
-            (radius, 0.008),
-            *rounded([(radius, height), (radius * 0.9, height + 0.004), (radius * 0.7, height - 0.003)]),
-            (0, height - 0.004),
-        ]
-    )
-    saucer = lathe(
-        [
-            (0, 0),
-            *rounded([(radius * 1.2, 0), (radius * 1.9, 0.012), (radius * 1.85, 0.016), (radius * 1.2, 0.009)]),
-            (0, 0.009),
-        ]
-    )
+    top = rounded([(radius, height), (radius * 0.9, height + 0.004), (radius * 0.7, height - 0.003)])
+    wax = lathe([(0, 0.008), (radius, 0.008), *top, (0, height - 0.004)])
+    bends = [(1.2, 0), (1.9, 0.012), (1.85, 0.016), (1.2, 0.009)]
+    saucer = solid(rounded([(radius * share, z) for share, z in bends]))
     wick = sweep([(0, 0, height - 0.006), (0, 0, height + 0.010)], 0.0014, 8)
     drop = [(0.0, 0), (0.006, 0.004), (0.0085, 0.011), (0.004, 0.024), (0.0, 0.036)]
     flame = lathe(rounded(drop)).moved(z=height + 0.006)
-    pieces = [
+    return build(
+        "candle", shade, "wax",
         (plain("wax", shade), wax), (plain("ceramic", color(rng, "grey", "white", "black", "brown")), saucer),
         (plain("paper", INK), wick), (plain("flame", (1.0, 0.72, 0.22)), flame),
-    ]  # fmt: skip
-    return build("candle", shade, "wax", *pieces)
+    )  # fmt: skip
 
 
 def clock(rng: Rng, split: Split) -> Thing:
     """A round alarm clock on two feet; its face is towards +x."""
     radius, deep = rng.uniform(0.055, 0.09), rng.uniform(0.03, 0.05)
     shade = color(rng, *VIVID, "black", "brown", "grey")
-    case = lathe(
-        [
-            (0, 0),
-            *rounded(
-                [
-                    (radius * 0.9, 0),
-                    (radius, 0.004),
-                    (radius, deep - 0.003),
-                    (radius * 0.96, deep),
-                    (radius * 0.88, deep - 0.002),
-                ]
-            ),
-            (radius * 0.87, deep - 0.007),
-            (0, deep - 0.007),
-        ],
-        56,
-    )
+    wall = [(0.9, 0), (1, 0.004), (1, deep - 0.003), (0.96, deep), (0.88, deep - 0.002)]
+    case = solid([*rounded([(radius * share, z) for share, z in wall]), (radius * 0.87, deep - 0.007)], 56)
     face = cylinder(radius * 0.875, 0.003, 0, 48).moved(z=deep - 0.008)
     ticks = [
         box((radius * (0.2 if k % 3 == 0 else 0.12), radius * 0.05, 0.0012))
@@ -167,37 +136,29 @@ def clock(rng: Rng, split: Split) -> Thing:
         for long, wide, turn in ((0.5, 0.075, hour), (0.7, 0.05, minute))
     ]  # fmt: skip
     hub = cylinder(radius * 0.06, 0.004).moved(z=deep - 0.005)
-    feet = [
-        sweep(
-            [(s * radius * 0.45, -radius * 0.8, deep / 2), (s * radius * 0.75, -radius * 1.16, deep / 2)], radius * 0.09
-        )
-        for s in (1, -1)
-    ]
-    body, metal = [case], [joined(*feet)]
+    metal = []
+    for s in (1, -1):
+        foot = [(s * radius * 0.45, -radius * 0.8, deep / 2), (s * radius * 0.75, -radius * 1.16, deep / 2)]
+        metal.append(sweep(foot, radius * 0.09))
     if rng.random() < 0.55:
         bell = sphere(radius * 0.34, radius * 0.34, radius * 0.22, 24)
         for s in (1, -1):
             metal.append(bell.turned("x", 90).turned("z", s * -32).moved(s * radius * 0.58, radius * 0.98, deep / 2))
-        arch = np.radians(np.linspace(10, 170, 14))
-        metal.append(
-            sweep(
-                [(radius * 0.36 * np.cos(a), radius * (1.15 + 0.34 * np.sin(a)), deep / 2) for a in arch],
-                radius * 0.045,
-            )
-        )
-    pieces = [
-        (plain("plastic", shade), joined(*body)), (plain("paper", (0.95, 0.94, 0.90)), face),
-        (plain("paper", INK), joined(*ticks, *hands, hub)), (plain("plastic", shaded(shade.rgb, 0.6)), joined(*metal)),
-    ]  # fmt: skip
-    upright = [(look, mesh.turned("x", 90).turned("z", 90)) for look, mesh in pieces]
-    return build("clock", shade, "plastic", *upright)
+        turns = np.radians(np.linspace(10, 170, 14))
+        arch = [(radius * 0.36 * np.cos(a), radius * (1.15 + 0.34 * np.sin(a)), deep / 2) for a in turns]
+        metal.append(sweep(arch, radius * 0.045))
+    return build(
+        "clock", shade, "plastic",
+        (plain("plastic", shade), case), (plain("paper", (0.95, 0.94, 0.90)), face),
+        (plain("paper", INK), *ticks, *hands, hub), (plain("plastic", shaded(shade.rgb, 0.6)), *metal),
+        turns=(("x", 90), ("z", 90)),
+    )  # fmt: skip
 
 
 def laptop(rng: Rng, split: Split) -> Thing:
     """Open, its screen towards +x."""
     wide, deep = rng.uniform(0.30, 0.36), rng.uniform(0.21, 0.25)
     shade, open_ = (color(rng, "grey", "grey", "black", "white", "pink", "blue"), rng.uniform(100, 120))
-    look = plain("plastic", shade)
     base = box((deep, wide, 0.016), 0.004)
     keys = [
         box((0.0125, wide * 0.068, 0.0016), 0).moved(x, y, 0.016)
@@ -210,14 +171,13 @@ def laptop(rng: Rng, split: Split) -> Thing:
     screen = box((0.001, wide * 0.93, deep * 0.86)).moved(x=0.0009, z=deep * 0.075)
     window = box((0.001, wide * 0.46, deep * 0.46)).moved(x=0.0014, y=wide * rng.uniform(-0.18, 0.18), z=deep * 0.25)
     hinged = [mesh.turned("y", 90 - open_).moved(-deep / 2 + 0.008, 0, 0.012) for mesh in (lid, bezel, screen, window)]
-    dark = plain("plastic", (0.07, 0.07, 0.08))
-    pieces = [
-        (look, joined(base, hinged[0])), (dark, joined(*keys, hinged[1])),
+    return build(
+        "laptop", shade, "plastic",
+        (plain("plastic", shade), base, hinged[0]), (plain("plastic", (0.07, 0.07, 0.08)), *keys, hinged[1]),
         (plain("plastic", shaded(shade.rgb, 0.8)), pad),
         (plain("screen", color(rng, "blue", "green", "purple", "orange")), hinged[2]),
         (plain("screen", (0.92, 0.93, 0.95)), hinged[3]),
-    ]  # fmt: skip
-    return build("laptop", shade, "plastic", *pieces)
+    )  # fmt: skip
 
 
 def cushion(rng: Rng, split: Split) -> Thing:
@@ -245,10 +205,8 @@ def carton(rng: Rng, split: Split) -> Thing:
         )
         for s in (1, -1)
     ]  # fmt: skip
-    bow = joined(*loops, sphere(0.012).moved(z=z * 1.065 + 0.01))
-    return build(
-        "box", shade, "cardboard", (look, joined(body, lid)), (plain("fabric", band_shade), joined(*across, bow))
-    )
+    bow = (*loops, sphere(0.012).moved(z=z * 1.065 + 0.01))
+    return build("box", shade, "cardboard", (look, body, lid), (plain("fabric", band_shade), *across, *bow))
 
 
 def _open_box(rng: Rng, x: float, y: float, z: float) -> Thing:
@@ -262,7 +220,7 @@ def _open_box(rng: Rng, x: float, y: float, z: float) -> Thing:
         flaps.append(flap.moved(x=half / 2 - wall, z=z).turned("z", turn))
     tape = box((0.001, 0.045, z * 0.55)).moved(x=x / 2, z=z * 0.45)
     return build(
-        "box", shade, "cardboard", (look, joined(box((x, y, wall)), *walls, *flaps)),
+        "box", shade, "cardboard", (look, box((x, y, wall)), *walls, *flaps),
         (plain("paper", (0.80, 0.70, 0.5)), tape),
     )  # fmt: skip
 
@@ -273,14 +231,13 @@ def basket(rng: Rng, split: Split) -> Thing:
     shade = Color("brown", shaded(color(rng, "brown").rgb, 1.25))
     look = Wardrobe(split, rng).textured("wicker", "wicker", shaded(shade.rgb, 1.25), shaded(shade.rgb, 0.4), 0.16)
     foot = radius * rng.uniform(0.72, 0.85)
-    body = lathe([(0, 0), (foot, 0), (radius, height), (radius - 0.008, height), (foot - 0.008, 0.01), (0, 0.01)])
+    body = solid([(foot, 0), (radius, height), (radius - 0.008, height), (foot - 0.008, 0.01)])
     turns = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     rim = sweep([(radius * 0.98 * np.cos(a), radius * 0.98 * np.sin(a), height) for a in turns], 0.009, loop=True)
     arch = np.linspace(0, np.pi, 24)
     over = rng.uniform(0.8, 1.2) * radius
     handle = sweep([(0, radius * 0.97 * np.cos(a), height + over * np.sin(a)) for a in arch], 0.008)
-    dark = plain("wicker", shaded(shade.rgb, 0.8))
-    return build("basket", shade, "wicker", (look, body), (dark, joined(rim, handle)))
+    return build("basket", shade, "wicker", (look, body), (plain("wicker", shaded(shade.rgb, 0.8)), rim, handle))
 
 
 def frame(rng: Rng, split: Split) -> Thing:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..looks import Color, Split, Wardrobe, color, plain
-from ..meshes import Mesh, joined, lathe, rounded, sphere, sweep
+from ..meshes import Mesh, lathe, rounded, sphere, sweep
 from ..thing import Thing, build
 
 Rng = np.random.Generator
@@ -49,7 +49,7 @@ def banana(rng: Rng, split: Split) -> Thing:
     body = sweep(path, radii, 12, 2.3)
     ends = [sweep(path[k : k + 2], radii[k : k + 2] * 1.03, 12, 2.3) for k in (0, 24)]
     look = Wardrobe(split, rng).spotted(shade, "peel", 0.06)
-    return build("banana", shade, "peel", (look, body), (plain("peel", STALK), joined(*ends)))
+    return build("banana", shade, "peel", (look, body), (plain("peel", STALK), *ends))
 
 
 def orange(rng: Rng, split: Split) -> Thing:
@@ -77,9 +77,7 @@ def carrot(rng: Rng, split: Split) -> Thing:
     for k in range(7):
         stem = _leaf(rng.uniform(0.07, 0.10), 0.010, rng.uniform(0.05, 0.5), 0.35)
         stems.append(stem.turned("z", 180 + (k - 3) * 13).moved(0.004, 0, thick * 1.05))
-    return build(
-        "carrot", shade, "peel", (Wardrobe(split, rng).spotted(shade, "peel", 0.1), body), (leaf, joined(*stems))
-    )
+    return build("carrot", shade, "peel", (Wardrobe(split, rng).spotted(shade, "peel", 0.1), body), (leaf, *stems))
 
 
 def pear(rng: Rng, split: Split) -> Thing:
@@ -111,8 +109,7 @@ def bread(rng: Rng, split: Split) -> Thing:
         line = [(x + 0.016 * np.cos(a), wide / 2 * np.cos(a), wide * 0.395 * np.sin(a)) for a in turns]
         cuts.append(sweep(line, [(0.004, 0.008)] * 9, 8))
     look = Wardrobe(split, rng).spotted(shade, "peel", 0.1)
-    crumb = plain("peel", (0.93, 0.80, 0.56))
-    return build("bread", shade, "bread", (look, body), (crumb, joined(*cuts)))
+    return build("bread", shade, "bread", (look, body), (plain("peel", (0.93, 0.80, 0.56)), *cuts))
 
 
 THINGS = (apple, banana, orange, carrot, pear, bread)

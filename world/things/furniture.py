@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..looks import VIVID, Color, Look, Split, Wardrobe, color, plain, shaded
-from ..meshes import Mesh, box, cylinder, joined, lathe, rounded, sweep
+from ..meshes import Mesh, box, cylinder, joined, ring, rounded, solid, sweep
 from ..thing import Ledge, Thing, build
 
 Rng = np.random.Generator
@@ -21,7 +21,7 @@ def _timber(rng: Rng, split: Split) -> tuple[Color, Look]:
 
 def _leg(x: float, y: float, z: float, thick: float, splay: float = 0.0, round_: bool = False) -> Mesh:
     path = [(x * (1 + splay), y * (1 + splay), 0), (x, y, z)]
-    return sweep(path, [(thick * 0.36, thick * 0.36), (thick / 2, thick / 2)], 14, 2 if round_ else 8)
+    return sweep(path, [thick * 0.36, thick / 2], 14, 2 if round_ else 8)
 
 
 def chair(rng: Rng, split: Split) -> Thing:
@@ -32,12 +32,7 @@ def chair(rng: Rng, split: Split) -> Thing:
     legs = [_leg(x, s * y, seat - 0.01, 0.042, 0.08) for s in (1, -1)]
     lean = rng.uniform(0.03, 0.08)
     posts = [
-        sweep(
-            [(-x - 0.02, s * y, 0), (-x, s * y, seat), (-x - lean, s * y, top)],
-            [(0.016, 0.016), (0.02, 0.02), (0.015, 0.015)],
-            14,
-            6,
-        )
+        sweep([(-x - 0.02, s * y, 0), (-x, s * y, seat), (-x - lean, s * y, top)], [0.016, 0.02, 0.015], 14, 6)
         for s in (1, -1)
     ]
     back = _slats(rng, x, y, seat, top, lean)
@@ -52,14 +47,8 @@ def chair(rng: Rng, split: Split) -> Thing:
 def _slats(rng: Rng, x: float, y: float, seat: float, top: float, lean: float) -> list[Mesh]:
     rail = box((0.022, 2 * y + 0.03, 0.08), 0.008).moved(-x - lean * 0.92, 0, top - 0.075)
     if rng.random() < 0.5:
-        heights = np.linspace(0.35, 0.72, int(rng.integers(1, 3)))
-        return [
-            rail,
-            *(
-                box((0.016, 2 * y, 0.055), 0.006).moved(-x - lean * h, 0, seat + h * (top - seat) - 0.03)
-                for h in heights
-            ),
-        ]
+        slat, heights = box((0.016, 2 * y, 0.055), 0.006), np.linspace(0.35, 0.72, int(rng.integers(1, 3)))
+        return [rail, *(slat.moved(-x - lean * h, 0, seat + h * (top - seat) - 0.03) for h in heights)]
     bars = np.linspace(-0.7, 0.7, int(rng.integers(3, 6))) * y
     return [rail, *(sweep([(-x, b, seat - 0.01), (-x - lean * 0.92, b, top - 0.05)], 0.009) for b in bars)]
 
@@ -77,9 +66,7 @@ def stool(rng: Rng, split: Split) -> Thing:
     low, reach = height * 0.33, radius * 0.72 * (1 + 0.42 * 0.67)
     hoop = sweep([(reach * np.cos(a), reach * np.sin(a), low) for a in ring], 0.008, loop=True)
     side = radius * 1.2
-    return build(
-        "stool", shade, "wood", (look, joined(seat, *legs, hoop)), ledges=(Ledge(height, (0, 0), (side, side)),)
-    )
+    return build("stool", shade, "wood", (look, seat, *legs, hoop), ledges=(Ledge(height, (0, 0), (side, side)),))
 
 
 def table(rng: Rng, split: Split) -> Thing:
@@ -96,14 +83,14 @@ def table(rng: Rng, split: Split) -> Thing:
             for a in np.pi / 4 + np.pi / 2 * np.arange(4)
         ]
         ledge = Ledge(height, (0, 0), (radius * 1.4, radius * 1.4))
-        return build("table", shade, "wood", (look, joined(top, *legs)), ledges=(ledge,))
+        return build("table", shade, "wood", (look, top, *legs), ledges=(ledge,))
     top = box((long, wide, 0.035), 0.006).moved(z=height - 0.035)
     x, y = long / 2 - 0.06, wide / 2 - 0.06
     legs = [_leg(sx * x, sy * y, height - 0.02, 0.065) for sx in (1, -1) for sy in (1, -1)]
     apron = [box((2 * x, 0.02, 0.07)).moved(0, s * y, height - 0.1) for s in (1, -1)]
     apron += [box((0.02, 2 * y, 0.07)).moved(s * x, 0, height - 0.1) for s in (1, -1)]
     ledge = Ledge(height, (0, 0), (long - 0.06, wide - 0.06))
-    return build("table", shade, "wood", (look, joined(top, *legs, *apron)), ledges=(ledge,))
+    return build("table", shade, "wood", (look, top, *legs, *apron), ledges=(ledge,))
 
 
 def sofa(rng: Rng, split: Split) -> Thing:
@@ -126,11 +113,10 @@ def sofa(rng: Rng, split: Split) -> Thing:
     feet = [
         cylinder(0.025, 0.10).moved(sx * (deep / 2 - 0.08), sy * (wide / 2 - 0.08)) for sx in (1, -1) for sy in (1, -1)
     ]
-    soft = joined(base, back, *arms, *pads, *rests)
     ledge = Ledge(0.44, (0.16, 0), (0.44, wide - 2 * arm - 0.08))
     return build(
-        "sofa", shade, "leather" if leather else "fabric", (look, soft),
-        (plain("wood", (0.22, 0.14, 0.08)), joined(*feet)), ledges=(ledge,),
+        "sofa", shade, "leather" if leather else "fabric", (look, base, back, *arms, *pads, *rests),
+        (plain("wood", (0.22, 0.14, 0.08)), *feet), ledges=(ledge,),
     )  # fmt: skip
 
 
@@ -149,7 +135,7 @@ def shelf(rng: Rng, split: Split) -> Thing:
     ]
     top = Ledge(height, (0, 0), (deep - 0.06, wide - 0.08))
     back_look = plain("wood", shaded(shade.rgb, 0.85))
-    return build("shelf", shade, "wood", (look, joined(*sides, *boards)), (back_look, back), ledges=(*ledges, top))
+    return build("shelf", shade, "wood", (look, *sides, *boards), (back_look, back), ledges=(*ledges, top))
 
 
 def floor_lamp(rng: Rng, split: Split) -> Thing:
@@ -157,21 +143,12 @@ def floor_lamp(rng: Rng, split: Split) -> Thing:
     shade = color(rng, *VIVID, "white", "grey")
     stand = plain("metal", (0.25, 0.25, 0.27)) if rng.random() < 0.5 else plain("wood", color(rng, "brown"))
     low, wide = rng.uniform(0.17, 0.22), rng.uniform(0.12, 0.17)
-    foot = lathe([(0, 0), *rounded([(0.14, 0), (0.14, 0.02), (0.02, 0.03)]), (0, 0.03)])
+    foot = solid(rounded([(0.14, 0), (0.14, 0.02), (0.02, 0.03)]))
     pole = sweep([(0, 0, 0.02), (0, 0, height - 0.1)], 0.012)
     drop = rng.uniform(0.24, 0.32)
-    shell = lathe(
-        [
-            (low, height - drop),
-            (wide, height),
-            (wide - 0.004, height),
-            (low - 0.004, height - drop),
-            (low, height - drop),
-        ],
-        48,
-    )
+    shell = ring([(low, height - drop), (wide, height), (wide - 0.004, height), (low - 0.004, height - drop)], 48)
     cloth = Wardrobe(split, rng).cloth(Color(shade.word, shaded(shade.rgb, 1.1)), metres=0.2)
-    return build("lamp", shade, "fabric", (stand, joined(foot, pole)), (cloth, shell))
+    return build("lamp", shade, "fabric", (stand, foot, pole), (cloth, shell))
 
 
 THINGS = (chair, stool, table, sofa, shelf, floor_lamp)

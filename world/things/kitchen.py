@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..looks import VIVID, Color, Look, Split, Wardrobe, color, plain, shaded
-from ..meshes import Curve, Mesh, Vec3, cylinder, extrude, joined, lathe, ring, rounded, sphere, sweep
+from ..meshes import Curve, Mesh, Vec3, cylinder, extrude, lathe, ring, rounded, solid, sphere, sweep
 from ..thing import Thing, build
 
 Rng = np.random.Generator
@@ -17,6 +17,11 @@ def _vessel(outer: Curve, wall: float, floor: float) -> Mesh:
     inner = [(max(r - wall, 0.001), max(z, floor)) for r, z in outer[::-1] if z > 0.3 * floor]
     (r, z), rim = outer[-1], wall / 2
     return lathe([(0, 0), *outer, (r - 0.2 * wall, z + rim), (r - 0.8 * wall, z + rim), *inner, (0, floor)])
+
+
+def _band(inner: float, outer: float, low: float, high: float) -> Mesh:
+    """A square ring."""
+    return ring([(inner, low), (outer, low), (outer, high), (inner, high)])
 
 
 def _arc(center: tuple[float, float], radii: tuple[float, float], start: float, end: float) -> list[Vec3]:
@@ -62,7 +67,7 @@ def plate(rng: Rng, split: Split) -> Thing:
     shade, clothes = color(rng), Wardrobe(split, rng)
     top = [(flat, 0.006), (flat + 0.012, lift * 0.8), (radius, lift + 0.004)]
     under = [(flat * 0.9, 0), (flat, 0.001), (radius - 0.002, lift - 0.001), (radius, lift + 0.001)]
-    dish = lathe([(0, 0), *rounded(under, 1), *rounded(top, 1)[::-1], (0, 0.006)], 56)
+    dish = solid([*rounded(under, 1), *rounded(top, 1)[::-1]], 56)
     band = plain("ceramic", shaded(shade.rgb, 0.6 if min(shade.rgb) > 0.3 else 1.5))
     a, b = radius * 0.90, radius * 0.95
     slope = (lift + 0.004 - lift * 0.8) / (radius - flat - 0.012)
@@ -83,19 +88,17 @@ def bottle(rng: Rng, split: Split) -> Thing:
         (radius * 0.9, 0), (radius, 0.004), (radius, shoulder), (radius, shoulder + 0.02),
         (neck, shoulder + height * rng.uniform(0.16, 0.22)), (neck, height * 0.94), (neck, height * 0.95),
     ]  # fmt: skip
-    body = lathe([(0, 0), *rounded(profile), (0, height * 0.95)])
+    body = solid(rounded(profile))
     low, high = height * 0.12, shoulder * rng.uniform(0.7, 0.9)
     r = radius + 0.0006
-    label = ring([(radius * 0.9, low), (r, low), (r, high), (radius * 0.9, high)])
-    stripe = ring(
-        [(radius * 0.9, low + 0.02), (r + 0.0004, low + 0.02), (r + 0.0004, high - 0.03), (radius * 0.9, high - 0.03)]
-    )
-    paper = plain("paper", (0.93, 0.92, 0.86))
-    print_ = plain("paper", color(rng, *VIVID))
+    labels = [
+        (plain("paper", (0.93, 0.92, 0.86)), _band(radius * 0.9, r, low, high)),
+        (plain("paper", color(rng, *VIVID)), _band(radius * 0.9, r + 0.0004, low + 0.02, high - 0.03)),
+    ]
     cap = cylinder(neck * 1.25, height * 0.08, 0.002).moved(z=height * 0.92)
     pieces = [(plain("glass", shade), body), (plain("plastic", color(rng, "black", "white", "red")), cap)]
     if rng.random() < 0.6:
-        pieces += [(paper, label), (print_, stripe)] if rng.random() < 0.5 else [(paper, label)]
+        pieces += labels if rng.random() < 0.5 else labels[:1]
     return build("bottle", shade, "glass", *pieces)
 
 
@@ -103,19 +106,13 @@ def teapot(rng: Rng, split: Split) -> Thing:
     radius, squash = rng.uniform(0.07, 0.09), rng.uniform(0.75, 1.0)
     height = 1.5 * radius * squash
     shade, clothes = color(rng), Wardrobe(split, rng)
-    belly = rounded(
-        [(radius * 0.55, 0), (radius * 0.6, 0.005), (radius * 1.05, height * 0.32),
-         (radius * 1.02, height * 0.75), (radius * 0.5, height), (radius * 0.42, height)]
-    )  # fmt: skip
-    body = lathe([(0, 0), *belly, (0, height)])
-    lid = lathe(
-        [
-            (0, 0),
-            (radius * 0.5, 0),
-            *rounded([(radius * 0.5, 0.004), (radius * 0.42, 0.02), (radius * 0.1, 0.026)]),
-            (0, 0.027),
-        ]
-    )
+    belly = [
+        (radius * 0.55, 0), (radius * 0.6, 0.005), (radius * 1.05, height * 0.32),
+        (radius * 1.02, height * 0.75), (radius * 0.5, height), (radius * 0.42, height),
+    ]  # fmt: skip
+    body = solid(rounded(belly))
+    cover = rounded([(radius * 0.5, 0.004), (radius * 0.42, 0.02), (radius * 0.1, 0.026)])
+    lid = lathe([(0, 0), (radius * 0.5, 0), *cover, (0, 0.027)])
     knob = sphere(radius * 0.15).moved(z=height + 0.027 + radius * 0.1)
     spout = rounded([(0.75, 0.25), (1.15, 0.35), (1.4, 0.65), (1.68, 0.95)])
     pipe = [(radius * x, 0.0, height * z) for x, z in spout]
@@ -124,11 +121,9 @@ def teapot(rng: Rng, split: Split) -> Thing:
     reach = radius * rng.uniform(0.55, 0.7)
     path = [(-radius * 0.88 + reach * np.cos(a), 0, height * 0.55 + height * 0.38 * np.sin(a)) for a in grip]
     handle = sweep(path, radius * 0.095)
-    plain_look = plain("ceramic", shade)
     look = clothes.maybe_patterned(shade, "ceramic", 0.12, 0.35)
-    return build(
-        "teapot", shade, "ceramic", (look, body), (plain_look, joined(lid.moved(z=height - 0.001), knob, tube, handle))
-    )
+    rest = (plain("ceramic", shade), lid.moved(z=height - 0.001), knob, tube, handle)
+    return build("teapot", shade, "ceramic", (look, body), rest)
 
 
 def _cutlery_shade(rng: Rng) -> tuple[Color, str, Look]:
@@ -157,7 +152,7 @@ def spoon(rng: Rng, split: Split) -> Thing:
     path = [(-scoop * 0.9 - s * (length - 2 * scoop), 0, 0.010 * np.sin(np.pi * s * 0.9) - 0.004 * s) for s in t]
     widths = [0.007 + 0.010 * float(np.clip((s - 0.45) / 0.5, 0, 1)) for s in t]
     handle = _ribbon(path, widths, 0.0045 if material == "wood" else 0.003)
-    return build("spoon", shade, material, (look, joined(cup, handle)))
+    return build("spoon", shade, material, (look, cup, handle))
 
 
 def fork(rng: Rng, split: Split) -> Thing:
@@ -181,14 +176,14 @@ def fork(rng: Rng, split: Split) -> Thing:
         )
         for y in lanes
     ]
-    return build("fork", shade, material, (look, joined(handle, root, *tines)))
+    return build("fork", shade, material, (look, handle, root, *tines))
 
 
 def knife(rng: Rng, split: Split) -> Thing:
     """Blade towards +x, lying on its side."""
     blade, grip, wide = rng.uniform(0.11, 0.17), rng.uniform(0.09, 0.115), rng.uniform(0.024, 0.036)
     shade = color(rng, "black", "brown", "red", "blue", "white", "green")
-    wooden = shade.word == "brown"
+    material = "wood" if shade.word == "brown" else "plastic"
     edge = rounded([(0, -wide / 2), (blade * 0.75, -wide / 2), (blade, wide * 0.28)])
     outline = [*edge, (blade, wide / 2 - 0.004), (blade * 0.9, wide / 2), (0, wide / 2)]
     steel = extrude(outline, 0.0022).moved(z=0.006)
@@ -196,11 +191,8 @@ def knife(rng: Rng, split: Split) -> Thing:
     path = [(0.004 - grip * s, 0, 0.007) for s in t]
     half = [(0.007, wide * (0.40 + 0.06 * np.cos(2 * np.pi * s))) for s in t]
     handle = sweep(path, half, 16, 3.5)
-    look = plain("wood" if wooden else "plastic", shade)
     rivets = [cylinder(0.003, 0.0162).moved(-grip * s, 0, -0.0008) for s in (0.25, 0.7)]
-    return build(
-        "knife", shade, "wood" if wooden else "plastic", (look, handle), (plain("metal", STEEL), joined(steel, *rivets))
-    )
+    return build("knife", shade, material, (plain(material, shade), handle), (plain("metal", STEEL), steel, *rivets))
 
 
 def pot(rng: Rng, split: Split) -> Thing:
@@ -212,31 +204,16 @@ def pot(rng: Rng, split: Split) -> Thing:
     material = "metal" if steel else "ceramic"
     look, dark = plain(material, shade), plain("plastic", (0.09, 0.09, 0.1))
     body = cylinder(radius, height, 0.012)
-    rim = ring(
-        [
-            (radius * 0.9, height - 0.006),
-            (radius + 0.004, height - 0.006),
-            (radius + 0.004, height + 0.002),
-            (radius * 0.9, height + 0.002),
-        ]
-    )
-    lid = lathe(
-        [
-            (0, 0),
-            (radius + 0.002, 0),
-            *rounded([(radius + 0.002, 0.004), (radius * 0.8, 0.022), (radius * 0.1, 0.03)]),
-            (0, 0.03),
-        ]
-    )
-    knob = lathe(
-        [(0, 0), (0.007, 0), (0.007, 0.014), *rounded([(0.018, 0.016), (0.02, 0.026), (0.012, 0.032)]), (0, 0.032)]
-    )
+    rim = _band(radius * 0.9, radius + 0.004, height - 0.006, height + 0.002)
+    cover = rounded([(radius + 0.002, 0.004), (radius * 0.8, 0.022), (radius * 0.1, 0.03)])
+    lid = solid([(radius + 0.002, 0), *cover])
+    knob = solid([(0.007, 0), (0.007, 0.014), *rounded([(0.018, 0.016), (0.02, 0.026), (0.012, 0.032)])])
     arc = _arc((radius * 0.97, 0), (0.035, 0.035), -90, 90)
     ear = sweep([(z, y, height * 0.78) for _, y, z in arc], 0.0065)
-    ears = joined(ear, ear.turned("z", 180))
     return build(
         "pot", shade, material,
-        (look, joined(body, rim, lid.moved(z=height + 0.001))), (dark, joined(knob.moved(z=height + 0.029), ears)),
+        (look, body, rim, lid.moved(z=height + 0.001)),
+        (dark, knob.moved(z=height + 0.029), ear, ear.turned("z", 180)),
     )  # fmt: skip
 
 
@@ -250,7 +227,7 @@ def pan(rng: Rng, split: Split) -> Thing:
     t = np.linspace(0, 1, 10)
     path = [(radius * 0.97 + length * s, 0, height * 0.75 + 0.03 * s) for s in t]
     handle = sweep(path, [(0.006 + 0.003 * s, 0.008 + 0.006 * s) for s in t], 16, 3.0)
-    inside = lathe([(0, 0.0058), (radius * 0.78, 0.0058), (radius * 0.8, 0.0075), (0, 0.0075)])
+    inside = solid([(radius * 0.78, 0.0058), (radius * 0.8, 0.0075)])
     grip = plain("wood", color(rng, "brown")) if rng.random() < 0.4 else plain("plastic", (0.08, 0.08, 0.09))
     return build(
         "pan", shade, "metal",

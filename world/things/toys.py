@@ -1,9 +1,11 @@
 """Toys."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..looks import VIVID, Split, color, plain, shaded
-from ..meshes import Mesh, box, cylinder, extrude, joined, lathe, rounded, sphere, sweep
+from ..meshes import box, cylinder, extrude, rounded, solid, sphere, sweep
 from ..thing import Thing, build
 
 Rng = np.random.Generator
@@ -23,14 +25,11 @@ def ball(rng: Rng, split: Split) -> Thing:
         white = (gore % 2 == 1) & (corners[..., 2].max(1) < 0.97 * radius)
     else:  # by the upper edge, the same for both triangles of a cell
         white = np.abs(np.abs(corners[..., 2].max(1) / radius - 0.03) - 0.33) < 0.12
-    tilt = rng.uniform(15, 50)
-    pieces = [_faces(sphere_, chosen).turned("y", tilt) for chosen in (~white, white)]
-    looks = (plain("rubber", shade), plain("rubber", WHITE))
-    return build("ball", shade, "rubber", *zip(looks, pieces, strict=True))
-
-
-def _faces(mesh: Mesh, chosen: np.ndarray) -> Mesh:
-    return Mesh(mesh.vertices, mesh.faces[chosen], mesh.uv)
+    colored, pale = (replace(sphere_, faces=sphere_.faces[chosen]) for chosen in (~white, white))
+    return build(
+        "ball", shade, "rubber",
+        (plain("rubber", shade), colored), (plain("rubber", WHITE), pale), turns=[("y", rng.uniform(15, 50))],
+    )  # fmt: skip
 
 
 def duck(rng: Rng, split: Split) -> Thing:
@@ -49,9 +48,11 @@ def duck(rng: Rng, split: Split) -> Thing:
     beak = plain("rubber", (0.93, 0.40, 0.08) if shade.word != "orange" else (0.85, 0.15, 0.1))
     bill = [sphere(0.012, 0.011, 0.0038).moved(0.049, 0, z) for z in (0.073, 0.0685)]
     eyes = [sphere(0.0036).moved(0.0425, s * 0.0125, 0.0825) for s in (1, -1)]
-    main = joined(body, chest, tail, head, *wings)
-    pieces = [(plain("rubber", shade), main), (beak, joined(*bill)), (plain("plastic", INK), joined(*eyes))]
-    return build("toy duck", shade, "rubber", *((look, mesh.scaled(size, size, size)) for look, mesh in pieces))
+    return build(
+        "toy duck", shade, "rubber",
+        (plain("rubber", shade), body, chest, tail, head, *wings), (beak, *bill), (plain("plastic", INK), *eyes),
+        scale=size,
+    )  # fmt: skip
 
 
 def bear(rng: Rng, split: Split) -> Thing:
@@ -73,11 +74,11 @@ def bear(rng: Rng, split: Split) -> Thing:
     soles = [sphere(0.007, 0.018, 0.019).turned("z", s * 22).moved(0.1135, s * 0.0685, 0.029) for s in (1, -1)]
     nose = sphere(0.006, 0.009, 0.006).moved(0.0755, 0, 0.170)
     eyes = [sphere(0.006).moved(0.0555, s * 0.021, 0.188) for s in (1, -1)]
-    pieces = [
-        (plain("plush", shade), joined(body, head, *ears, *arms, *legs)),
-        (pale, joined(muzzle, tummy, *inner, *soles)), (plain("plastic", INK), joined(nose, *eyes)),
-    ]  # fmt: skip
-    return build("teddy bear", shade, "plush", *((look, mesh.scaled(size, size, size)) for look, mesh in pieces))
+    return build(
+        "teddy bear", shade, "plush",
+        (plain("plush", shade), body, head, *ears, *arms, *legs), (pale, muzzle, tummy, *inner, *soles),
+        (plain("plastic", INK), nose, *eyes), scale=size,
+    )  # fmt: skip
 
 
 def car(rng: Rng, split: Split) -> Thing:
@@ -85,23 +86,14 @@ def car(rng: Rng, split: Split) -> Thing:
     size, shade = rng.uniform(0.9, 1.5), color(rng, *VIVID, "white", "black")
     tall = rng.uniform(0.92, 1.15)
     side = rounded(
-        [
-            (-0.075, 0.014),
-            (0.073, 0.014),
-            (0.078, 0.030),
-            (0.072, 0.040),
-            (0.038, 0.044),
-            (-0.072, 0.045),
-            (-0.078, 0.030),
-            (-0.075, 0.014),
-        ],
-        2,
-    )[:-1]
+        [(-0.075, 0.014), (0.073, 0.014), (0.078, 0.030), (0.072, 0.040), (0.038, 0.044), (-0.072, 0.045),
+         (-0.078, 0.030), (-0.075, 0.014)]
+    )[:-1]  # fmt: skip
     body = extrude(side, 0.068).turned("x", 90).moved(y=0.034)
     back = float(rng.uniform(-0.066, -0.045))
-    roof = rounded(
-        [(back, 0.043), (0.036, 0.043), (0.012, 0.068 * tall), (back + 0.016, 0.068 * tall), (back, 0.043)], 2
-    )[:-1]
+    roof = rounded([(back, 0.043), (0.036, 0.043), (0.012, 0.068 * tall), (back + 0.016, 0.068 * tall), (back, 0.043)])[
+        :-1
+    ]
     cabin = extrude(roof, 0.056).turned("x", 90).moved(y=0.028)
     middle = np.array([(back + 0.036) / 2, 0.055])
     panes = [tuple((middle + (np.array(p) - middle) * [0.80, 0.72]).tolist()) for p in roof]
@@ -112,15 +104,15 @@ def car(rng: Rng, split: Split) -> Thing:
     places = [(x, y, 0.0165) for x in (-0.046, 0.046) for y in (-0.031, 0.031)]
     lamps = [sphere(0.004, 0.007, 0.006).moved(0.0755, s * 0.022, 0.032) for s in (1, -1)]
     rear = [sphere(0.003, 0.006, 0.005).moved(-0.0755, s * 0.022, 0.033) for s in (1, -1)]
-    dark, bright = plain("rubber", (0.07, 0.07, 0.08)), plain("plastic", (0.8, 0.8, 0.8))
-    pieces = [
-        (plain("plastic", shade), joined(body, cabin)),
-        (plain("glass", (0.16, 0.20, 0.24)), joined(glass, front)),
-        (dark, joined(*(wheel.moved(*p) for p in places))),
-        (bright, joined(*(hub.moved(*p) for p in places), *lamps)),
-        (plain("plastic", (0.7, 0.05, 0.05)), joined(*rear)),
-    ]  # fmt: skip
-    return build("toy car", shade, "plastic", *((look, mesh.scaled(size, size, size)) for look, mesh in pieces))
+    return build(
+        "toy car", shade, "plastic",
+        (plain("plastic", shade), body, cabin),
+        (plain("glass", (0.16, 0.20, 0.24)), glass, front),
+        (plain("rubber", (0.07, 0.07, 0.08)), *(wheel.moved(*p) for p in places)),
+        (plain("plastic", (0.8, 0.8, 0.8)), *(hub.moved(*p) for p in places), *lamps),
+        (plain("plastic", (0.7, 0.05, 0.05)), *rear),
+        scale=size,
+    )  # fmt: skip
 
 
 def blocks(rng: Rng, split: Split) -> Thing:
@@ -131,7 +123,7 @@ def blocks(rng: Rng, split: Split) -> Thing:
     pieces, z = [(plain("wood", (0.72, 0.52, 0.32)), cylinder(size * 1.1, 0.012, 0.004))], 0.012
     for k in range(count):
         r, h = size * (1 - 0.14 * k), size * 0.44
-        ring = lathe([(0, 0), *rounded([(r * 0.7, 0), (r, 0), (r, h), (r * 0.7, h)], 3), (0, h)])
+        ring = solid(rounded([(r * 0.7, 0), (r, 0), (r, h), (r * 0.7, h)], 3))
         pieces.append((looks[k % 2], ring.moved(z=z)))
         z += h
     pieces.append((plain("wood", (0.72, 0.52, 0.32)), sphere(size * 0.3).moved(z=z + size * 0.18)))

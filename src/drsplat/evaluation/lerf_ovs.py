@@ -23,10 +23,10 @@ from scipy.ndimage import uniform_filter
 
 from ..base.arrays import Float32, Mask, PixelNumbers, RowIds
 from ..base.contents import Document
-from ..errors import FormatError, InputError, MismatchError
+from ..errors import InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
-from ..formats.json_files import as_vector, excerpt, read_json
+from ..formats.json_files import as_object, as_vector, read_json
 from ..formats.lerf_ovs import LabelledFrame, read_lerf_labels
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
@@ -37,16 +37,16 @@ from .predictions import (
     ANSWERED,
     AUTOMATIC,
     FIXED,
-    TUNED,
     Chooser,
     Manifest,
-    best_sweep,
     columns_of,
+    common_columns,
     is_sweep,
     mask_path,
     read_manifests,
     read_mask,
     seen_column,
+    shown_columns,
     sweep_column,
     write_mask,
 )
@@ -164,32 +164,26 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> Document:
     Raises: InputError: no scene, or one without predictions. FormatError: damaged predictions.
     """
     manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL)
-    columns = _common_columns(manifests)
-    by_scene = [_ious(scene, folder, list(columns)) for scene in scenes]
-    ious = {column: [scene_ious[column] for scene_ious in by_scene] for column in columns}
-    seen = {column: [_seen_ious(scene, folder, column) for scene in scenes] for column in columns}
-    peaks = [_peak_hits(scene, folder) for scene in scenes]
-    means = {column: scorers.scene_macro(values) for column, values in ious.items()}
-    tuned = best_sweep(means)
-    shown_columns = {c: c for c in columns if not is_sweep(c)}
-    if tuned is not None:
-        shown_columns[TUNED] = tuned
+    columns = common_columns(manifests)
+    rows = {scene.name: _judged(scene, folder, list(columns)) for scene in scenes}
+    means, seen = (
+        {c: scorers.scene_macro([[row[kind][c] for row in own] for own in rows.values()]) for c in columns}
+        for kind in ("iou", "seen")
+    )
+    shown = shown_columns(columns, means)
     return {
         "protocol": PROTOCOL,
         "method": manifests[0].method,
         "scenes": [_scene_record(*pair) for pair in zip(scenes, manifests, strict=True)],
-        "thresholds": {name: columns[source] for name, source in shown_columns.items()},
-        "columns": {
-            name: _summary(scenes, ious[source], seen[source], peaks) for name, source in shown_columns.items()
-        },
+        "thresholds": {name: columns[source] for name, source in shown.items()},
+        "columns": {name: scorers.summary(rows, partial(_numbers, source)) for name, source in shown.items()},
         "sweep": {column: means[column] for column in columns if is_sweep(column)},
-        "sweep_seen": {c: scorers.scene_macro(seen[c]) for c in columns if is_sweep(c)},
-        "queries": _queries(
-            scenes,
-            {name: ious[c] for name, c in shown_columns.items()},
-            {name: seen[c] for name, c in shown_columns.items()},
-            peaks,
-        ),
+        "sweep_seen": {column: seen[column] for column in columns if is_sweep(column)},
+        "queries": [
+            row | {kind: {name: row[kind][source] for name, source in shown.items()} for kind in ("iou", "seen")}
+            for own in rows.values()
+            for row in own
+        ],
     }
 
 
@@ -273,90 +267,47 @@ def peak(drawn: PixelNumbers) -> list[float] | None:
     return [float(x), float(y)]
 
 
-def _common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
-    first = manifests[0]
-    for other in manifests[1:]:
-        if set(other.columns) != set(first.columns) or other.method != first.method:
-            raise MismatchError(
-                f"'{other.scene}' was predicted by '{other.method}' with other thresholds than "
-                f"'{first.scene}' by '{first.method}': predict all scenes in one way"
-            )
-    return dict(first.columns)
+def _judged(scene: LerfScene, folder: Path, columns: Sequence[str]) -> list[Document]:
+    """Return for each pair the IoUs by column, alone and within the scene, and whether the peak lies in a box of it.
 
-
-def _ious(scene: LerfScene, folder: Path, columns: Sequence[str]) -> dict[str, list[float]]:
-    """Return the IoU of each pair, by column; 0 where there is no prediction."""
-    ious: dict[str, list[float]] = {column: [] for column in columns}
+    IoUs are 0 where there is no prediction, NaN within the scene where predictions have no such masks.
+    """
+    has_seen = [column for column in columns if (folder / scene.name / seen_column(column)).is_dir()]
+    path, rows = folder / scene.name / PEAKS, []
+    peaks = as_object(read_json(path), str(path)) if path.is_file() else {}
     for frame, category in scene.pairs:
-        truth = frame.mask(category)
-        for column in columns:
-            path = mask_path(folder, scene.name, column, frame.name, category)
-            mask = read_mask(path, frame.width, frame.height)
-            ious[column].append(0.0 if mask is None else scorers.mask_iou(mask, truth))
-    return ious
+        place = partial(mask_path, folder, scene.name, frame=frame.name, category=category)
+        truth, where = frame.mask(category), f"{path}: {frame.name}"
+        peak = as_object(peaks.get(frame.name, {}), where).get(category)
+        at = None if peak is None else as_vector(peak, 2, f"{where}: {category[:60]!a}").tolist()
+        seen = {column: _iou(place(column=seen_column(column)), truth) for column in has_seen}
+        rows.append({
+            "scene": scene.name,
+            "frame": frame.name,
+            "category": category,
+            "iou": {column: _iou(place(column=column), truth) for column in columns},
+            "seen": {column: seen.get(column, float("nan")) for column in columns},
+            "localized": at is not None and scorers.in_any_box(at[0], at[1], frame.boxes[category]),
+        })  # fmt: skip
+    return rows
 
 
-def _seen_ious(scene: LerfScene, folder: Path, column: str) -> list[float]:
-    """Return the IoU of each pair within the scene; NaN where predictions have no such masks."""
-    if not (folder / scene.name / seen_column(column)).is_dir():
-        return [float("nan")] * len(scene.pairs)
-    return _ious(scene, folder, [seen_column(column)])[seen_column(column)]
+def _iou(path: Path, truth: Mask) -> float:
+    mask = read_mask(path, truth.shape[1], truth.shape[0])
+    return 0.0 if mask is None else scorers.mask_iou(mask, truth)
 
 
-def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
-    """Return 1 for each pair whose peak lies in a box of the category, else 0; 0 without a peak."""
-    path = folder / scene.name / PEAKS
-    document = read_json(path) if path.is_file() else {}
-    if not isinstance(document, dict):
-        raise FormatError(f"{path}: expected a JSON object, got {excerpt(document)}")
-    hits = []
-    for frame, category in scene.pairs:
-        of_frame = document.get(frame.name, {})
-        peak = of_frame.get(category) if isinstance(of_frame, dict) else None
-        if peak is None:
-            hits.append(0.0)
-            continue
-        x, y = as_vector(peak, 2, f"{path}: {frame.name}: {category[:60]!a}").tolist()
-        hits.append(float(scorers.in_any_box(x, y, frame.boxes[category])))
-    return hits
-
-
-def _summary(
-    scenes: Sequence[LerfScene], ious: Sequence[list[float]], seen: Sequence[list[float]], hits: Sequence[list[float]]
-) -> Document:
-    by_scene = [_numbers(*of_scene) for of_scene in zip(ious, seen, hits, strict=True)]
-    pooled = [[value for values in kind for value in values] for kind in (ious, seen, hits)]
+def _numbers(column: str, rows: list[Document]) -> dict[str, float]:
+    ious = [row["iou"][column] for row in rows]
     return {
-        "scene_macro": {key: scorers.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]},
-        "query_micro": _numbers(*pooled),
-        "by_scene": {s.name: numbers for s, numbers in zip(scenes, by_scene, strict=True)},
+        "miou": scorers.mean(ious),
+        "seen": scorers.mean([row["seen"][column] for row in rows]),
+        **{f"acc@{t:g}": scorers.share_above(ious, t) for t in ACCURACY_IOUS},
+        "localization": scorers.mean([float(row["localized"]) for row in rows]),
     }
-
-
-def _numbers(ious: list[float], seen: list[float], hits: list[float]) -> dict[str, float]:
-    accuracies = {f"acc@{t:g}": scorers.share_above(ious, t) for t in ACCURACY_IOUS}
-    means = {"miou": scorers.mean(ious), "seen": scorers.mean(seen)}
-    return {**means, **accuracies, "localization": scorers.mean(hits)}
 
 
 def _scene_record(scene: LerfScene, manifest: Manifest) -> Document:
     leaked = None if manifest.leaked is None else list(manifest.leaked)
     counts = {"frames": len(scene.frames), "pairs": len(scene.pairs)}
     return {"name": scene.name, **counts, "leaked": leaked, "inputs": dict(manifest.inputs)}
-
-
-def _queries(
-    scenes: Sequence[LerfScene],
-    ious: Mapping[str, Sequence[list[float]]],
-    seen: Mapping[str, Sequence[list[float]]],
-    hits: Sequence[list[float]],
-) -> list[Document]:
-    rows = []
-    for s, scene in enumerate(scenes):
-        for p, (frame, category) in enumerate(scene.pairs):
-            alone, whole = ({column: by_scene[s][p] for column, by_scene in kind.items()} for kind in (ious, seen))
-            rows.append(
-                {"scene": scene.name, "frame": frame.name, "category": category}
-                | {"iou": alone, "seen": whole, "localized": bool(hits[s][p])}
-            )
-    return rows

@@ -10,7 +10,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -18,7 +17,7 @@ from PIL import Image
 
 from ..base.arrays import Doubles, Flags, Float32, Mask, Numbers, OtherDoubles
 from ..errors import FormatError, InputError, MismatchError
-from ..formats.json_files import excerpt, read_json
+from ..formats.json_files import as_kind, excerpt, read_json
 from ..formats.replacing import replacing
 
 MANIFEST = "predictions.json"
@@ -44,7 +43,7 @@ class Manifest:
     method: str
     scene: str
     columns: Mapping[str, str]
-    inputs: Mapping[str, Any] = field(default_factory=dict)
+    inputs: Mapping[str, object] = field(default_factory=dict)
     leaked: tuple[str, ...] | None = None
 
     def write(self, folder: Path) -> None:
@@ -62,27 +61,16 @@ def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifes
     path = folder / scene / MANIFEST
     if not path.is_file():
         raise InputError(f"{path}: there are no predictions of '{scene}': predict before scoring")
-    document = read_json(path)
-    if not isinstance(document, dict):
-        raise FormatError(f"{path}: expected a JSON object, got {excerpt(document)}")
-    if document.get("protocol") not in protocols or document.get("scene") != scene:
+    manifest: Manifest = as_kind(read_json(path), Manifest, str(path))
+    if manifest.protocol not in protocols or manifest.scene != scene:
         raise MismatchError(
             f"{path}: expected predictions of {' or '.join(protocols)} for '{scene}', got "
-            f"{excerpt(document.get('protocol'))} for {excerpt(document.get('scene'))}"
+            f"{excerpt(manifest.protocol)} for {excerpt(manifest.scene)}"
         )
-    columns, leaked = document.get("columns"), document.get("leaked")
-    if not isinstance(columns, dict) or not all(isinstance(how, str) for how in columns.values()):
-        raise FormatError(f"{path}: columns: expected texts by name, got {excerpt(columns)}")
-    outside = [name for name in columns if set(name) & set("/\\\0") or name.startswith(".")]
+    outside = [name for name in manifest.columns if set(name) & set("/\\\0") or name.startswith(".")]
     if outside:
         raise FormatError(f"{path}: columns: {excerpt(outside[0])} cannot name a folder")
-    if leaked is not None and not isinstance(leaked, list):
-        raise FormatError(f"{path}: leaked: expected a list or null, got {excerpt(leaked)}")
-    inputs = document.get("inputs")
-    return Manifest(
-        str(document["protocol"]), str(document.get("method")), scene, columns,
-        inputs if isinstance(inputs, dict) else {}, None if leaked is None else tuple(map(str, leaked)),
-    )  # fmt: skip
+    return manifest
 
 
 def read_manifests(folder: Path, scenes: Sequence[str], *protocols: str) -> list[Manifest]:
@@ -90,6 +78,25 @@ def read_manifests(folder: Path, scenes: Sequence[str], *protocols: str) -> list
     if not scenes:
         raise InputError("expected at least one scene to score")
     return [read_manifest(folder, scene, protocols) for scene in scenes]
+
+
+def common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
+    """Return the columns of all scenes. Raises: MismatchError: scenes that were predicted in different ways."""
+    first, *others = manifests
+    for other in others:
+        one, two = ((each.method, set(each.columns), each.inputs.get("label_set")) for each in (first, other))
+        if one != two:
+            raise MismatchError(
+                f"'{other.scene}' was predicted by '{other.method}' in another way than '{first.scene}' by "
+                f"'{first.method}': predict all scenes in one way, with the same classes and thresholds"
+            )
+    return dict(first.columns)
+
+
+def shown_columns(columns: Mapping[str, str], means: Mapping[str, float]) -> dict[str, str]:
+    """Return the columns to show by name: those of no sweep, and the best of the sweep as what is tuned on the test."""
+    tuned = best_sweep(means)
+    return {column: column for column in columns if not is_sweep(column)} | ({TUNED: tuned} if tuned else {})
 
 
 def columns_of(threshold: float, sweep: Sequence[float], choosers: Mapping[str, tuple[Chooser, str]]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -30,33 +30,16 @@ Point = tuple[Number, Number, str]
 def scatter(points: Sequence[Point], x_name: str, y_name: str, title: str, note: str = "") -> str:
     """Draw points (x, y, name) on one scale from 0 for both axes, and the diagonal.  Source: Fig. S3."""
     top = _round_up(max([max(x, y) for x, y, _ in points] or [1.0]))
-    inner_w, inner_h = WIDTH - 1.5 * MARGIN, HEIGHT - 2 * MARGIN
-
-    def place(x: Number, y: Number) -> tuple[float, float]:
-        return MARGIN + inner_w * x / top, HEIGHT - MARGIN - inner_h * y / top
-
-    marks = []
+    axes = _Axes(0.0, top, top)
+    (x0, y0), (x1, y1) = axes.place(0, 0), axes.place(top, top)
+    parts = [*axes.drawn(x_name, y_name, title), _text((x0 + x1) / 2, 34, note, "middle"), _line(x0, y0, x1, y1, FAINT)]
     for x, y, name in points:
-        cx, cy = place(x, y)
+        cx, cy = axes.place(x, y)
         tip = escape(f"{name}: {x:.4f}, {y:.4f}")
-        marks.append(
+        parts.append(
             f'<circle cx="{cx:.1f}" cy="{cy:.1f}" r="5" fill="{MARK}" fill-opacity="0.75"><title>{tip}</title></circle>'
         )
-    (x0, y0), (x1, y1) = place(0, 0), place(top, top)
-    lines = [_line(x0, y0, x1, y0), _line(x0, y0, x0, y1), _line(x0, y0, x1, y1, FAINT)]
-    for k in range(5):
-        value = top * k / 4
-        (tx, _), (_, ty) = place(value, 0), place(0, value)
-        lines.append(_text(tx, y0 + 16, f"{value:.2g}", "middle"))
-        lines.append(_text(x0 - 6, ty + 4, f"{value:.2g}", "end"))
-    middle = (x0 + x1) / 2
-    words = [
-        _text(middle, 18, title, "middle", bold=True),
-        _text(middle, 34, note, "middle"),
-        _text(middle, HEIGHT - 14, x_name, "middle"),
-        f'<g transform="translate(14 {(y0 + y1) / 2:.1f}) rotate(-90)">{_text(0, 0, y_name, "middle")}</g>',
-    ]
-    return _svg(HEIGHT, [*lines, *marks, *words])
+    return _svg(HEIGHT, parts)
 
 
 def bars(rows: Sequence[tuple[str, Number]], unit: str, title: str) -> str:
@@ -75,29 +58,43 @@ def bars(rows: Sequence[tuple[str, Number]], unit: str, title: str) -> str:
 def curves(series: Sequence[tuple[str, Sequence[tuple[Number, Number]]]], x_name: str, y_name: str, title: str) -> str:
     """Draw named curves of points (x, y), y from 0 to 100 percent, with their names below the chart."""
     xs = [x for _, points in series for x, _ in points] or [0.0, 1.0]
-    low, high = min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1
-    inner_w, inner_h = WIDTH - 1.5 * MARGIN, HEIGHT - 2 * MARGIN
-
-    def place(x: Number, y: Number) -> tuple[float, float]:
-        return MARGIN + inner_w * (x - low) / (high - low), HEIGHT - MARGIN - inner_h * y / 100
-
-    (x0, y0), (x1, y1) = place(low, 0), place(high, 100)
-    parts = [_line(x0, y0, x1, y0), _line(x0, y0, x0, y1), _text((x0 + x1) / 2, 20, title, "middle", bold=True)]
-    for k in range(5):
-        value = low + (high - low) * k / 4
-        (tx, _), (_, ty) = place(value, 0), place(low, 25 * k)
-        parts += [_text(tx, y0 + 16, f"{value:.2g}", "middle"), _text(x0 - 6, ty + 4, f"{25 * k}", "end")]
-        parts += [_line(x0, ty, x1, ty, FAINT)] if k else []
+    axes = _Axes(min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1, 100)
+    parts, (x0, _) = axes.drawn(x_name, y_name, title), axes.place(axes.low, 0)
     for number, (name, points) in enumerate(series):
         color, y = LINES[number % len(LINES)], HEIGHT + 18 * number
-        path = " ".join(f"{px:.1f},{py:.1f}" for px, py in (place(*point) for point in points))
+        path = " ".join(f"{px:.1f},{py:.1f}" for px, py in (axes.place(*point) for point in points))
         parts.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="2"/>')
         parts += [_line(x0, y, x0 + 24, y, color), _text(x0 + 32, y + 4, name, "start")]
-    words = [
-        _text((x0 + x1) / 2, HEIGHT - 20, x_name, "middle"),
-        f'<g transform="translate(14 {(y0 + y1) / 2:.1f}) rotate(-90)">{_text(0, 0, y_name, "middle")}</g>',
-    ]
-    return _svg(HEIGHT + 18 * len(series), [*parts, *words])
+    return _svg(HEIGHT + 18 * len(series), parts)
+
+
+class _Axes(NamedTuple):
+    """Axes of a chart: x from `low` to `high`, y from 0 to `top`."""
+
+    low: Number
+    high: Number
+    top: Number
+
+    def place(self, x: Number, y: Number) -> tuple[float, float]:
+        """Return where a point is drawn."""
+        across = (WIDTH - 1.5 * MARGIN) * (x - self.low) / (self.high - self.low)
+        return MARGIN + across, HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * y / self.top
+
+    def drawn(self, x_name: str, y_name: str, title: str) -> list[str]:
+        """Return both axes with five numbers each, faint lines at the heights of these, and the names."""
+        (x0, y0), (x1, y1) = self.place(self.low, 0), self.place(self.high, self.top)
+        parts = [_line(x0, y0, x1, y0), _line(x0, y0, x0, y1)]
+        for k in range(5):
+            x, y = self.low + (self.high - self.low) * k / 4, self.top * k / 4
+            tx, ty = self.place(x, y)
+            parts += [_text(tx, y0 + 16, f"{x:.2g}", "middle"), _text(x0 - 6, ty + 4, f"{y:.3g}", "end")]
+            parts += [_line(x0, ty, x1, ty, FAINT)] if k else []
+        return [
+            *parts,
+            _text((x0 + x1) / 2, 18, title, "middle", bold=True),
+            _text((x0 + x1) / 2, HEIGHT - 20, x_name, "middle"),
+            f'<g transform="translate(14 {(y0 + y1) / 2:.1f}) rotate(-90)">{_text(0, 0, y_name, "middle")}</g>',
+        ]
 
 
 def _round_up(value: Number) -> float:

@@ -9,6 +9,7 @@ from PIL import Image
 
 from ..base.arrays import Pixels, Vectors
 from ..base.contents import AnyPath, Document
+from ..drawing.heat import heat_colors
 from ..drawing.pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..errors import InputError
 from ..field.codes import Track, untracked
@@ -31,7 +32,6 @@ from .tables import pictures_judged
 
 LONG_SIDE_PIXELS = 480
 SELECTED, OTHERS = (1.0, 0.85, 0.1), (0.1, 0.2, 0.65)  # Fig. S7: yellow, blue
-_HEAT = np.array([[0.05, 0.03, 0.2], [0.3, 0.07, 0.45], [0.72, 0.2, 0.35], [0.98, 0.55, 0.2], [0.98, 0.98, 0.7]])
 
 
 def lerf_figures(
@@ -93,13 +93,11 @@ def small(view: View) -> View:
 
 
 def activation(splats: SplatArrays, view: View, scores: Scores, threads: int = 0) -> Pixels:
-    """Draw scores from the 50th to the 99.9th percentile in colours from dark to light."""
+    """Draw scores from the 50th to the 99.9th percentile as heat."""
     finite = scores[np.isfinite(scores)]
     low, high = np.percentile(finite, (50, 99.9)) if len(finite) else (0.0, 1.0)
-    level = np.clip((np.nan_to_num(scores, nan=low) - low) / max(high - low, 1e-9), 0, 1)
-    steps = np.linspace(0, 1, len(_HEAT))
-    colors = np.stack([np.interp(level, steps, channel) for channel in _HEAT.T], 1)
-    return _drawn(splats, view, colors.astype(np.float32), threads)
+    level = (np.nan_to_num(scores, nan=low) - low) / max(high - low, 1e-9)
+    return _drawn(splats, view, heat_colors(level.astype(np.float32)), threads)
 
 
 def selection(splats: SplatArrays, view: View, scores: Scores, threshold: float, threads: int = 0) -> Pixels:
@@ -218,14 +216,12 @@ def evaluate(
     return {**result, "written": [str(path) for path in written]}
 
 
-def _loaded(judged: Judged | Callable[[], Judged]) -> Judged:
-    return judged() if callable(judged) else judged
-
-
-def _gaussians(judged: Judged) -> Gaussians:
+def _loaded(entry: Judged | Callable[[], Judged]) -> tuple[Judged, Gaussians]:
+    """Return what is judged, and its Gaussians."""
+    judged = entry() if callable(entry) else entry
     if isinstance(judged, Scene):
-        return judged.gaussians
-    return judged if isinstance(judged, Gaussians) else judged[0]
+        return judged, judged.gaussians
+    return judged, judged if isinstance(judged, Gaussians) else judged[0]
 
 
 def _lerf_scenes(
@@ -237,8 +233,8 @@ def _lerf_scenes(
             left_out = task.without([frame.name for frame in scene.frames])
             scene = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in left_out))
         if not task.score_only:
-            loaded = _loaded(entry)
-            gaussians, scorer = _gaussians(loaded), task.scorer(loaded)
+            loaded, gaussians = _loaded(entry)
+            scorer = task.scorer(loaded)
             options: Document = {"threads": task.threads, "track": task.track, "choosers": task.choosers(scorer)}
             lerf_ovs.predict(scene, gaussians, scorer, task.folder, **options)
             pictures += lerf_figures(scene, gaussians, scorer, task.figures, threads=task.threads)
@@ -249,22 +245,20 @@ def _scannet_scenes(
     task: _Task, protocol: str, judged: Mapping[str, Judged | Callable[[], Judged]], pictures: list[Figure]
 ) -> Iterator[ScannetScene]:
     for name, entry in judged.items():
-        loaded = _loaded(entry)
-        scene = _scannet_scene(task, task.data / name, _gaussians(loaded))
+        (loaded, gaussians), folder = _loaded(entry), task.data / name
+        scene = (
+            read_raw_category_scene(folder, task.labels, gaussians, task.label_table)
+            if task.labels.name == "scannet200"
+            else read_nyu40_scene(folder, task.labels, gaussians)
+        )
         if not task.score_only:
             scorer = task.scorer(loaded)
             options = {"choosers": task.choosers(scorer)} if protocol == "scannet-volume" else {}
             _SCANNET[protocol].predict(scene, scorer, task.folder, track=task.track, **options)
-            cameras = task.data / name / "transforms_test.json"
+            cameras = folder / "transforms_test.json"
             if protocol == "scannet-volume" and cameras.is_file():
                 pictures += scannet_figures(scene, read_views(cameras), scorer, task.figures, threads=task.threads)
         yield scene
-
-
-def _scannet_scene(task: _Task, folder: Path, gaussians: Gaussians) -> ScannetScene:
-    if task.labels.name == "scannet200":
-        return read_raw_category_scene(folder, task.labels, gaussians, task.label_table)
-    return read_nyu40_scene(folder, task.labels, gaussians)
 
 
 def automatic_choosers(scorer: Scorer) -> dict[str, tuple[Chooser, str]]:

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..base.arrays import Doubles, Ids, Numbers, WholeNumbers
-from ..base.contents import file_text
+from ..base.contents import Document, file_text
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.npy import write_npy
@@ -122,6 +121,7 @@ def _label_set(name: str, rows: Sequence[Sequence[str]]) -> LabelSet:
 
 LABELS = "labels.npy"
 SCORES, ANSWER = "scores", "answer"  # answer: what a class's own threshold is compared with, if not the scores
+ARGMAX, ARGMAX_RULE = "argmax", "the class of the highest score; no threshold"
 ACCURACY_IOUS = (0.15, 0.30, 0.45)
 
 
@@ -228,7 +228,7 @@ def predict_classes(
                 write_npy(scores_path(folder, scene.name, ANSWER, number), values, overwrite=True)
                 picked[AUTOMATIC][str(number)] = threshold
     write_npy(place / LABELS, classes, overwrite=True)
-    columns = {"argmax": "the class of the highest score; no threshold"}
+    columns = {ARGMAX: ARGMAX_RULE}
     if keep_scores:
         columns = columns_of(scorer.threshold, scorer.sweep, chosen)
         columns |= {AUTOMATIC: ANSWERED} if answers is not None else {}
@@ -267,7 +267,7 @@ def predicted_scores(scene: ScannetScene, folder: Path, kind: str, number: int) 
 
 def segmentation_record(
     predicted: scorers.Labels, truth: scorers.Labels, labels: LabelSet, weights: Doubles | None = None
-) -> dict[str, Any]:
+) -> Document:
     """Return the means over the classes of the scene, and the numbers of each."""
     ious = scorers.class_ious(predicted, truth, len(labels), weights)
     accuracies = scorers.class_accuracies(predicted, truth, len(labels), weights)
@@ -283,6 +283,18 @@ def segmentation_record(
     }
 
 
-def over_scenes(records: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> dict[str, float]:
-    """Return the means over scenes; each scene counts alike."""
-    return {key: scorers.mean([record[key] for record in records]) for key in keys}
+def segmentation_document(
+    protocol: str, scenes: Sequence[ScannetScene], manifests: Sequence[Manifest], records: Sequence[Document]
+) -> Document:
+    """Return the document of a protocol, with the means over scenes, which count alike, of each scene's record."""
+    return {
+        "protocol": protocol,
+        "method": manifests[0].method,
+        "label_set": scenes[0].labels.name,
+        "thresholds": {ARGMAX: ARGMAX_RULE},
+        "segmentation": {
+            "scene_macro": {key: scorers.mean([record[key] for record in records]) for key in ("miou", "macc")},
+            "by_scene": {scene.name: record for scene, record in zip(scenes, records, strict=True)},
+        },
+        "scenes": [{"name": manifest.scene, "inputs": dict(manifest.inputs)} for manifest in manifests],
+    }

@@ -17,7 +17,7 @@ from ..base.arrays import Ids
 from ..base.contents import Document
 from ..errors import MismatchError
 from .predictions import read_manifests
-from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
+from .scannet import ScannetScene, predict_classes, predicted_classes, segmentation_document, segmentation_record
 
 PROTOCOL = "scannet-points@1"
 FAINT_OPACITY = 0.1
@@ -33,15 +33,9 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> Document:
     at the points. FormatError: damaged predictions.
     """
     manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL)
-    by_scene = {scene.name: _record(scene, folder) for scene in scenes}
-    return {
-        "protocol": PROTOCOL,
-        "method": manifests[0].method,
-        "label_set": scenes[0].labels.name,
-        "thresholds": {"argmax": "the class of the highest score; no threshold"},
-        "segmentation": {"scene_macro": over_scenes(list(by_scene.values()), ("miou", "macc")), "by_scene": by_scene},
-        "scenes": [{"name": m.scene, "inputs": dict(m.inputs)} for m in manifests],
-    }
+    truths = [(scene, frozen_truth(scene)) for scene in scenes]
+    records = [segmentation_record(predicted_classes(one, folder), truth, one.labels) for one, truth in truths]
+    return segmentation_document(PROTOCOL, scenes, manifests, records)
 
 
 def frozen_truth(scene: ScannetScene) -> Ids:
@@ -62,8 +56,3 @@ def frozen_truth(scene: ScannetScene) -> Ids:
             "are in another order; for free ones use scannet-volume@1"
         )
     return np.where(scene.gaussians.opacities < FAINT_OPACITY, 0, scene.points.labels).astype(np.int32)
-
-
-def _record(scene: ScannetScene, folder: Path) -> Document:
-    truth = frozen_truth(scene)
-    return segmentation_record(predicted_classes(scene, folder), truth, scene.labels)

@@ -11,23 +11,31 @@ Source: Dr. Splat Sec. B-C.
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..base.contents import Document
 from ..errors import MismatchError
 from . import scorers
-from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, best_sweep, is_sweep, read_manifests, sweep_weighted_ious
+from .predictions import (
+    AUTOMATIC,
+    FIXED,
+    Manifest,
+    common_columns,
+    is_sweep,
+    read_manifests,
+    shown_columns,
+    sweep_weighted_ious,
+)
 from .scannet import (
     ACCURACY_IOUS,
     ANSWER,
     SCORES,
     ScannetScene,
-    over_scenes,
     predict_classes,
     predicted_classes,
     predicted_scores,
+    segmentation_document,
     segmentation_record,
 )
 
@@ -43,22 +51,17 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> Document:
     different ways. FormatError: damaged predictions.
     """
     manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL)
-    columns = _common_columns(manifests)
-    segmented = {scene.name: segmentation(scene, folder) for scene in scenes}
-    located = [
-        _class_ious_by_column(scene, manifest, folder) for scene, manifest in zip(scenes, manifests, strict=True)
-    ]
+    columns = common_columns(manifests)
+    if FIXED not in columns:
+        raise MismatchError(f"'{manifests[0].scene}': the predictions have no fixed threshold")
+    located = [_class_ious_by_column(*pair, folder) for pair in zip(scenes, manifests, strict=True)]
     means = {c: scorers.scene_macro([list(s[c].values()) for s in located]) for c in columns}
-    tuned = best_sweep(means)
-    shown = {c: c for c in columns if not is_sweep(c)} | ({TUNED: tuned} if tuned else {})
-    names = [scene.name for scene in scenes]
-    return {
-        "protocol": PROTOCOL,
-        "method": manifests[0].method,
-        "label_set": scenes[0].labels.name,
+    shown = shown_columns(columns, means)
+    by_name = dict(zip((scene.name for scene in scenes), located, strict=True))
+    records = [segmentation(scene, folder) for scene in scenes]
+    return segmentation_document(PROTOCOL, scenes, manifests, records) | {
         "thresholds": {name: columns[source] for name, source in shown.items()},
-        "segmentation": {"scene_macro": over_scenes(list(segmented.values()), ("miou", "macc")), "by_scene": segmented},
-        "localization": {name: _summary(names, [scene[source] for scene in located]) for name, source in shown.items()},
+        "localization": {name: _summary(by_name, source) for name, source in shown.items()},
         "sweep": {column: means[column] for column in columns if is_sweep(column)},
         "scenes": [_scene_record(*pair) for pair in zip(scenes, manifests, strict=True)],
     }
@@ -74,7 +77,7 @@ def _class_ious_by_column(scene: ScannetScene, manifest: Manifest, folder: Path)
     """Return the IoU of the classes that the scene has, by column and name."""
     truth, counted = scene.pseudo_labels, scene.pseudo_labels > 0
     weights = scene.significance[counted]
-    thresholds = manifest.inputs.get("thresholds", {})
+    thresholds = manifest.inputs.get("thresholds")
     ious_by_column: dict[str, dict[str, float]] = {column: {} for column in manifest.columns}
     for number in np.unique(truth[counted]).tolist():
         name, scores = scene.labels.names[number - 1], predicted_scores(scene, folder, SCORES, number)
@@ -93,7 +96,7 @@ def _class_ious_by_column(scene: ScannetScene, manifest: Manifest, folder: Path)
     return ious_by_column
 
 
-def _threshold(thresholds: Mapping[str, Any], column: str, number: int) -> float:
+def _threshold(thresholds: object, column: str, number: int) -> float:
     """Return a class's threshold; infinity, which selects nothing, if it was not written."""
     value = thresholds.get(column) if isinstance(thresholds, Mapping) else None
     if isinstance(value, Mapping):
@@ -101,31 +104,13 @@ def _threshold(thresholds: Mapping[str, Any], column: str, number: int) -> float
     return float(value) if isinstance(value, int | float) and np.isfinite(value) else np.inf
 
 
-def _common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
-    first = manifests[0]
-    for other in manifests[1:]:
-        same_sets = other.inputs.get("label_set") == first.inputs.get("label_set")
-        if dict(other.columns) != dict(first.columns) or other.method != first.method or not same_sets:
-            raise MismatchError(
-                f"'{other.scene}' was predicted by '{other.method}' in another way than '{first.scene}' by "
-                f"'{first.method}': predict all scenes with the same classes and thresholds"
-            )
-    if FIXED not in first.columns:
-        raise MismatchError(f"'{first.scene}': the predictions have no fixed threshold")
-    return dict(first.columns)
-
-
-def _summary(names: Sequence[str], by_scene: Sequence[Mapping[str, float]]) -> Document:
-    records = [_numbers(list(classes.values())) for classes in by_scene]
-    pooled = [iou for classes in by_scene for iou in classes.values()]
-    return {
-        "scene_macro": over_scenes(records, list(_numbers([]))),
-        "query_micro": _numbers(pooled),
-        "by_scene": {
-            name: {**record, "classes": dict(classes)}
-            for name, record, classes in zip(names, records, by_scene, strict=True)
-        },
-    }
+def _summary(by_name: Mapping[str, Mapping[str, Mapping[str, float]]], column: str) -> Document:
+    """Return the numbers of a column, with those of each class of each scene."""
+    ious = {name: dict(located[column]) for name, located in by_name.items()}
+    document = scorers.summary({name: list(classes.values()) for name, classes in ious.items()}, _numbers)
+    for name, classes in ious.items():
+        document["by_scene"][name]["classes"] = classes
+    return document
 
 
 def _numbers(ious: list[float]) -> dict[str, float]:

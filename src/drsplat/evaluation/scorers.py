@@ -7,10 +7,12 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from ..base.arrays import Array, Bool, Float32, Float64, FloatRows, Integer, Real
+from ..base.contents import Document
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
@@ -65,6 +67,14 @@ def scene_macro(by_scene: Sequence[Numbers]) -> float:
     0.5833333333333334
     """
     return mean([mean(values) for values in by_scene])
+
+
+def summary(by_scene: Mapping[str, list[Any]], numbers: Callable[[list[Any]], dict[str, float]]) -> Document:
+    """Return the numbers of each scene's answers, the means over scenes, and the numbers of all answers together."""
+    records = {name: numbers(answers) for name, answers in by_scene.items()}
+    pooled = numbers([answer for answers in by_scene.values() for answer in answers])
+    macro = {key: mean([record[key] for record in records.values()]) for key in pooled}
+    return {"scene_macro": macro, "query_micro": pooled, "by_scene": records}
 
 
 def class_overlaps(
@@ -256,8 +266,9 @@ def cosine_scorer(source: LanguageField, encoder: Encoder, name: str = "cosine",
         "rendered_from": scenes_rendered(source.rendered_from),
     }
     views = None if source.evidence is None else source.evidence.masks.view_names
+    threshold, least = _thresholds(encoder)
     return Scorer(
-        name, source.num_gaussians, scores, _fixed(encoder), COSINE_SWEEP, about, views, _own(encoder), several,
+        name, source.num_gaussians, scores, threshold, COSINE_SWEEP, about, views, least, several,
         _answer(source, encoder, threads), None if source.objects is None else classes,
     )  # fmt: skip
 
@@ -296,7 +307,7 @@ def feature_scorer(features: Rows, encoder: Encoder, name: str = "features") -> 
         return scores
 
     about = {"features": hashed(features), "encoder": encoder.identity.name, "measure": "cosine"}
-    threshold, least = _fixed(encoder), _own(encoder)
+    threshold, least = _thresholds(encoder)
     return Scorer(name, len(features), scores, threshold, COSINE_SWEEP, about, least=least)
 
 
@@ -334,10 +345,7 @@ def hashed(array: Rows) -> str:
     return digest.hexdigest()
 
 
-def _own(encoder: Encoder) -> float | None:
-    return getattr(encoder, "threshold", None)
-
-
-def _fixed(encoder: Encoder) -> float:
-    own = _own(encoder)
-    return COSINE_THRESHOLD if own is None else own
+def _thresholds(encoder: Encoder) -> tuple[float, float | None]:
+    """Return the fixed threshold and the encoder's own."""
+    own = getattr(encoder, "threshold", None)
+    return COSINE_THRESHOLD if own is None else own, own

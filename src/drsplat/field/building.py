@@ -1,6 +1,5 @@
 """Evidence to field, a block of rows at a time: there is never a dense matrix of all features."""
 
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -13,7 +12,6 @@ from ..errors import InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
 from ..scene.gaussians import Gaussians
 from .codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
-from .codes.codebook import BLOCK_ROWS
 from .codes.mixture import Mixed, SceneAtoms, encode_with
 from .evidence.aggregation import MEAN, Aggregated, Aggregator
 from .evidence.aggregation.entries import canonical
@@ -34,69 +32,38 @@ class Features(Protocol):
     def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings: ...
 
 
-@runtime_checkable
-class RowCoder(Protocol):
-    """Strategy that makes features of rows and codes them, in this process or in others.
-
-    The result never depends on the strategy.
-    """
+class RowCoder:
+    """Makes features of rows and codes them, in this process; others let tasks do it, to the same bits."""
 
     def aggregated(
         self, how: Aggregator, evidence: Evidence, gaussians: Gaussians | None, threads: int, track: Track
     ) -> Aggregated:
         """Make features of votes; see `Aggregator` for the arguments."""
-
-    def of_columns(self, features: Aggregated, kept: Flags) -> Aggregated:
-        """Return rows to learn a code from: a `Sampler`."""
-
-    def work(self, threads: int, track: Track) -> Work:
-        """Return who trains a codebook."""
-
-    def mixed(
-        self, features: Aggregated, seen: Indices, atoms_per_row: int, scene: SceneAtoms | None,
-        threads: int, track: Track,
-    ) -> Mixed:  # fmt: skip
-        """Code rows as mixtures of atoms; see `encode_with` for the arguments."""
-
-    def quantised(
-        self, features: Aggregated, seen: Indices, codebook: Codebook, threads: int, track: Track
-    ) -> tuple[Codes, Flags]:
-        """Code rows by a codebook; see `encode_features` for the arguments."""
-
-
-@dataclass(frozen=True)
-class AtOnce:
-    """A `RowCoder`: this process."""
-
-    def aggregated(
-        self, how: Aggregator, evidence: Evidence, gaussians: Gaussians | None, threads: int, track: Track
-    ) -> Aggregated:
-        """See RowCoder."""
         return how(evidence, gaussians, threads=threads)
 
     def of_columns(self, features: Aggregated, kept: Flags) -> Aggregated:
-        """See RowCoder."""
+        """Return rows to learn a code from: a `Sampler`."""
         return rows_of_columns(features, kept)
 
     def work(self, threads: int, track: Track) -> Work:
-        """See RowCoder."""
+        """Return who trains a codebook."""
         return Here(threads, track)
 
     def mixed(
         self, features: Aggregated, seen: Indices, atoms_per_row: int, scene: SceneAtoms | None,
         threads: int, track: Track,
     ) -> Mixed:  # fmt: skip
-        """See RowCoder."""
+        """Code rows as mixtures of atoms; see `encode_with` for the arguments."""
         return encode_with(source_of(features.rows(seen)), atoms_per_row, scene, threads=threads, track=track)
 
     def quantised(
         self, features: Aggregated, seen: Indices, codebook: Codebook, threads: int, track: Track
     ) -> tuple[Codes, Flags]:
-        """See RowCoder."""
+        """Code rows by a codebook; see `encode_features` for the arguments."""
         return encode_features(features.rows(seen), codebook, threads, track)
 
 
-AT_ONCE: RowCoder = AtOnce()
+AT_ONCE = RowCoder()
 
 
 class Coded(NamedTuple):
@@ -199,16 +166,12 @@ def _coded(
 
 def encode_features(rows: Features, codebook: Codebook, threads: int, track: Track) -> tuple[Codes, Flags]:
     """Return the codes of all rows, and which of them have a direction."""
-    count = len(rows)
-    codes = np.empty((count, codebook.num_subvectors), np.uint8)
-    coarse_ids = None if codebook.coarse is None else np.empty(count, np.uint16)
-    directed = np.empty(count, np.bool_)
-    for begin in track(range(0, count, BLOCK_ROWS), "coding Gaussians"):
-        block = slice(begin, min(begin + BLOCK_ROWS, count))
-        features = rows.features(block.start, block.stop, threads=threads)
-        directed[block] = features.any(1)
-        codes[block], nearest = codebook.encode(features, threads=threads)
-        if coarse_ids is not None and nearest is not None:
-            coarse_ids[block] = nearest
+    directed = np.empty(len(rows), np.bool_)
+
+    def features(begin: int, end: int) -> Embeddings:
+        block = rows.features(begin, end, threads=threads)
+        directed[begin:end] = block.any(1)
         release(rows.weights.indices, rows.weights.data)
-    return Codes(codes, coarse_ids), directed
+        return block
+
+    return codebook.encode_blocks(len(rows), features, threads=threads, track=track), directed

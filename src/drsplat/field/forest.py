@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -46,6 +45,12 @@ ARRAYS = {
     "descriptor_starts": ("int64", "T1"), "descriptors": ("float32", "P D"),
 }  # fmt: skip
 """Dtype and dimensions of each array, in memory and on disk."""
+RANGES = {
+    "centers": (-MAX_NUMBER, MAX_NUMBER, "finite numbers"), "axes": (-2, 2, "unit vectors"),
+    "extents": (0, MAX_NUMBER, "finite lengths of 0 or more"), "sure": (0, 1, "numbers from 0 to 1"),
+    "masses": (0, MAX_NUMBER, "finite numbers of 0 or more"), "num_views": (0, np.inf, "counts"),
+    "masks": (0, np.inf, "columns of the evidence"), "shares": (0, 1 + LENGTH_TOLERANCE, "numbers from 0 to 1"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,23 +87,16 @@ class Objects:
     def __post_init__(self) -> None:
         self._check_shapes()
         check_forest(self.node_of, self.parents, self.levels)
-        _check_all(_within(self.centers, -MAX_NUMBER, MAX_NUMBER), "centers: expected finite numbers")
-        _check_all(_within(self.extents, 0.0, MAX_NUMBER), "extents: expected finite lengths of 0 or more")
-        _check_all(_within(self.axes, -2.0, 2.0), "axes: expected unit vectors")
+        for name, (low, high, expected) in RANGES.items():
+            values = getattr(self, name)
+            _check_all((values >= low) & (values <= high), f"{name}: expected {expected}")  # NaN is not
         products = np.einsum("tik,tjk->tij", self.axes, self.axes)
         _check_all(np.abs(products - np.eye(3)) < ORTHONORMAL_TOLERANCE, "axes: expected unit vectors at right angles")
-        _check_all(_within(self.sure, 0.0, 1.0), "sure: expected numbers from 0 to 1")
-        _check_all(_within(self.masses, 0.0, MAX_NUMBER), "masses: expected finite numbers of 0 or more")
-        _check_all(self.num_views >= 0, "num_views: expected counts")
         _check_starts("masks", self.mask_starts, len(self.masks), MAX_MASKS_PER_NODE)
         _check_starts("descriptors", self.descriptor_starts, len(self.descriptors), MAX_DESCRIPTORS_PER_NODE)
-        _check_all(self.masks >= 0, "masks: expected columns of the evidence")
         _check_all(np.isin(self.votes, ("", VOTED, JOINED)), "votes: expected voted, joined or nothing")
-        _check_all(_within(self.shares, 0.0, 1 + LENGTH_TOLERANCE), "shares: expected numbers from 0 to 1")
         lengths = np.sqrt(np.einsum("pd,pd->p", self.descriptors, self.descriptors))
-        _check_all(
-            _within(lengths, 1 - LENGTH_TOLERANCE, 1 + LENGTH_TOLERANCE), "descriptors: expected finite unit vectors"
-        )
+        _check_all(np.abs(lengths - 1) <= LENGTH_TOLERANCE, "descriptors: expected finite unit vectors")
 
     def __repr__(self) -> str:
         kinds = (int(np.count_nonzero(self.levels == level)) for level in (PART, GROUP))
@@ -133,7 +131,7 @@ class Objects:
         """Per node the number of the thing that it is, or is a part of; -1 for none."""
         numbers = np.full(self.num_nodes, -1, np.int32)
         numbers[self.things] = np.arange(len(self.things), dtype=np.int32)
-        return self._handed_down(numbers)
+        return np.append(numbers, np.int32(-1))[owner_nodes(self.parents, numbers >= 0)]
 
     def thing_of(self, rows: WholeNumbers | slice = slice(None)) -> Ids:
         """Return per row of the field, or of some, the number of the thing that it belongs to, -1 for none."""
@@ -158,8 +156,9 @@ class Objects:
 
     def _belonging(self, chosen: OtherFlags) -> Ids:
         """Return per row the chosen node that it belongs to, -1 for none."""
-        nodes = np.where(chosen, np.arange(self.num_nodes, dtype=np.int32), np.int32(-1))
-        return self._by_row(self._handed_down(nodes), np.int32(-1))
+        return np.append(owner_nodes(self.parents, chosen), -1)[self.node_of].astype(
+            np.int32
+        )  # the last one is that of -1
 
     def rows(self, node: int) -> Indices:
         """Return the rows of the field in a node and in all below it, ascending.
@@ -176,23 +175,17 @@ class Objects:
     @cached_property
     def _by_parent(self) -> tuple[OtherIndices, Indices]:
         """The nodes in the order of their parents, and where those of each parent begin."""
-        order = np.argsort(self.parents, kind="stable")
-        return order, np.searchsorted(self.parents[order], np.arange(self.num_nodes + 1))
+        return by_number(self.parents, self.num_nodes)
 
     @cached_property
     def _by_node(self) -> tuple[OtherIndices, Indices]:
         """The rows in the order of their nodes, and where those of each node begin."""
-        order = np.argsort(self.node_of, kind="stable")
-        return order, np.searchsorted(self.node_of[order], np.arange(self.num_nodes + 1))
+        return by_number(self.node_of, self.num_nodes)
 
     def counts(self, rows: RowIds) -> Indices:
         """Return per node how many of some rows belong to it or to a node below it."""
         nodes = self.node_of[rows]
-        counts: list[int] = np.bincount(nodes[nodes >= 0], minlength=self.num_nodes).tolist()
-        for node, parent in enumerate(self.parents.tolist()):
-            if parent >= 0:
-                counts[parent] += counts[node]
-        return np.array(counts, np.int64)
+        return with_those_below(self.parents, np.bincount(nodes[nodes >= 0], minlength=self.num_nodes))
 
     @cached_property
     def sizes(self) -> Indices:
@@ -261,19 +254,6 @@ class Objects:
             raise InputError(f"node {node} of {self.num_nodes}")
         return node
 
-    def _handed_down(self, values: Ids) -> Ids:
-        """Return the values of nodes, -1 replaced by that of the nearest node above that has one."""
-        values, above = values.copy(), self.parents
-        while True:
-            missing = (values < 0) & (above >= 0)
-            if not missing.any():
-                return values
-            values[missing] = values[above[missing]]
-            above = np.where(missing, self.parents[above], -1)
-
-    def _by_row(self, values: np.ndarray, none: Any) -> np.ndarray:
-        return np.append(values, none)[self.node_of]  # the last one is that of -1
-
     def _check_shapes(self) -> None:
         known = {"T1": len(self.parents) + 1, "3": 3}
         for name, (dtype, dimensions) in ARRAYS.items():
@@ -281,6 +261,29 @@ class Objects:
             lengths = [known.setdefault(*one) for one in zip(names, given.shape, strict=False)]
             if given.dtype != dtype or given.ndim != len(names) or list(given.shape) != lengths:
                 raise InputError(f"{name}: expected {dtype} ({dimensions}), got {given.dtype} {given.shape}")
+
+
+def owner_nodes(parents: RowIds, nodes: Flags) -> Indices:
+    """Return for each node itself or the lowest of `nodes` above it, -1 for none."""
+    up = np.append(np.where(nodes, np.arange(len(parents)), parents), -1)
+    while (up != (further := up[up])).any():
+        up = further
+    return np.asarray(up[:-1])
+
+
+def with_those_below(parents: RowIds, values: np.ndarray) -> np.ndarray:
+    """Return each node's value and those of all nodes below it, added up; children come before their parents."""
+    sums = values.tolist()
+    for node, parent in enumerate(parents.tolist()):
+        if parent >= 0:
+            sums[parent] += sums[node]
+    return np.array(sums, values.dtype)
+
+
+def by_number(numbers: OtherIds, count: int) -> tuple[OtherIndices, Indices]:
+    """Return the places of numbers in the order of these, and where those of 0, 1, ... `count` begin."""
+    order = np.argsort(numbers, kind="stable")
+    return order, np.searchsorted(numbers[order], np.arange(count + 1))
 
 
 def check_forest(node_of: OtherIds, parents: Ids, levels: ByteValues) -> None:
@@ -298,11 +301,6 @@ def check_forest(node_of: OtherIds, parents: Ids, levels: ByteValues) -> None:
     _check_all(
         (upper >= lower) & ((upper != THING) | (lower != THING)), "levels: expected parts below things below groups"
     )
-
-
-def _within(values: np.ndarray, low: float, high: float) -> Bool[np.ndarray, "..."]:
-    """Mark values within a range, NaN not."""
-    return (values >= low) & (values <= high)
 
 
 def _check_all(fine: Bool[np.ndarray, "..."], message: str) -> None:

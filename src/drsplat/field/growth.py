@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..base.arrays import Arrays, ArraysByName, OtherIds, Sparse, UnsignedIds
 from ..errors import FormatError, InputError
-from ..formats.json_files import excerpt, is_text
+from ..formats.json_files import as_fields, as_kind, document_in, excerpt
 from ..formats.tensors import check_tensors
 from .codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
 from .codes.mixture import MixtureCode, SceneAtoms, quantised
@@ -26,6 +27,15 @@ _SCENE_ARRAYS = {
     "scene_vectors": ("float32", "a D"), "scene_centres": ("float32", "g D"),
     "scene_members": ("int32", "g m"), "scene_places": ("int32", "p"),
 }  # fmt: skip
+
+
+class _About(NamedTuple):
+    """Part of the manifest that is of growth."""
+
+    code: object
+    isa: str
+    level: str | None
+    removed: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,20 +135,17 @@ def growth_from_tensors(
     has_scene = "scene_vectors" in tensors
     if has_scene:
         check_tensors(tensors, _SCENE_ARRAYS, where)
-    if not isinstance(document, dict):
-        raise FormatError(f"{where}: growth: expected an object in the manifest, got {excerpt(document)}")
-    isa, level, removed = (document.get(key) for key in ("isa", "level", "removed"))
-    if not is_text(isa) or not (level is None or is_text(level)):
-        raise FormatError(f"{where}: growth: expected an instruction set, and a level or null")
-    removed = [] if removed is None else removed
-    if not isinstance(removed, list) or not all(map(is_text, removed)):
-        raise FormatError(f"{where}: growth: removed: expected a list of photos' names, got {excerpt(removed)}")
     try:
-        provenance = Provenance(tensors["axes"], tensors["keys"], str(isa), level, tensors.get("cameras"))
+        about: _About = as_kind(document, _About, f"{where}: growth")
+        learnt_from = as_kind(
+            document_in(metadata.get("learnt_from", ""), where), tuple[str, ...], f"{where}: learnt_from"
+        )
+        provenance = Provenance(tensors["axes"], tensors["keys"], about.isa, about.level, tensors.get("cameras"))
         atoms, places = _scene(tensors) if has_scene else (None, None)
-        code = _code_from_json(document.get("code"))
-        ids, rest = tensors["rest_ids"], _rest(tensors, masks)
-        return Growth(provenance, code, ids, rest, _names(metadata), atoms, places, tuple(removed))
+        code, rest = _code_from_json(about.code, f"{where}: growth: code"), _rest(tensors, masks)
+        return Growth(provenance, code, tensors["rest_ids"], rest, learnt_from, atoms, places, about.removed)
+    except FormatError:
+        raise
     except ValueError as error:  # ours, or SciPy's
         raise FormatError(f"{where}: {error}") from error
 
@@ -164,31 +171,21 @@ def _scene(tensors: ArraysByName) -> tuple[SceneAtoms, np.ndarray]:
     return SceneAtoms(vectors, centres, members, quantised(vectors)), places
 
 
-def _names(metadata: Mapping[str, str]) -> tuple[str, ...]:
-    try:
-        names = json.loads(metadata.get("learnt_from", ""))
-    except RecursionError:
-        names = None
-    if not isinstance(names, list) or not all(map(is_text, names)):
-        raise InputError("learnt_from: expected a list of view names")
-    return tuple(names)
+_KINDS: Mapping[str, type[PQ] | type[Mixture] | type[Smaller]] = {"pq": PQ, "mixture": Mixture, "auto": Smaller}
 
 
 def _code_json(code: PQ | Mixture | Smaller | None) -> dict[str, object]:
-    if isinstance(code, PQ):
-        return {"kind": "pq", "subvectors": code.subvectors}
-    if code is None:
-        return {"kind": GIVEN}
-    return {"kind": "mixture" if isinstance(code, Mixture) else "auto", "atoms": code.atoms}
+    kinds = [kind for kind, made in _KINDS.items() if type(code) is made]
+    return {"kind": GIVEN} if code is None else {"kind": kinds[0], **asdict(code)}
 
 
-def _code_from_json(document: object) -> PQ | Mixture | Smaller | None:
-    about = document if isinstance(document, dict) else {}
-    kind, atoms, subvectors = (about.get(key) for key in ("kind", "atoms", "subvectors"))
+def _code_from_json(document: object, where: str) -> PQ | Mixture | Smaller | None:
+    kind = as_fields(document, where, kind=str)["kind"]
     if kind == GIVEN:
         return None
-    if kind == "pq" and (subvectors is None or (type(subvectors) is int and subvectors > 0)):
-        return PQ(subvectors)
-    if kind in ("mixture", "auto") and type(atoms) is int and atoms > 0:
-        return Mixture(atoms) if kind == "mixture" else Smaller(atoms)
-    raise InputError(f"growth: expected a code as 'pq', 'mixture', 'auto' or '{GIVEN}', got {excerpt(document)}")
+    if kind not in _KINDS:
+        raise FormatError(f"{where}: expected {', '.join(map(repr, _KINDS))} or '{GIVEN}', got {excerpt(kind)}")
+    code: PQ | Mixture | Smaller = as_kind(document, _KINDS[kind], where)
+    if any(count is not None and count < 1 for count in asdict(code).values()):
+        raise FormatError(f"{where}: expected counts of 1 or more, got {code}")
+    return code

@@ -3,11 +3,11 @@
 Outside of the folder, so that they outlive the field: of one that is made anew they name what overlaps most.
 """
 
-import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from ..base.arrays import Indices, RowIds, Spans, Vector3
 from ..errors import FormatError, InputError
 from ..formats.json_files import (
     are_rows,
-    as_vector,
+    as_document,
+    as_kind,
     count_in,
     ids_of,
     is_text,
@@ -23,8 +24,9 @@ from ..formats.json_files import (
     runs_of,
     spans_of,
     spans_of_runs,
+    write_json,
 )
-from ..formats.replacing import claimed_output, replacing
+from ..formats.replacing import claimed_output
 from .forest import THING
 from .language_field import LanguageField
 
@@ -84,6 +86,15 @@ def same_name(name: str, other: str) -> bool:
     return name.strip().casefold() == other.strip().casefold()
 
 
+class _Entry(NamedTuple):
+    """A label in the file; its rows as `runs_of` says."""
+
+    name: str
+    scene: str
+    center: Vector3
+    runs: object
+
+
 @dataclass(frozen=True)
 class LabelFile:
     """The labels beside a field. Every change is whole or not at all, and one writer's at a time."""
@@ -104,15 +115,18 @@ class LabelFile:
         """
         if not self.path.exists():
             return ()
-        document = read_json(self.path)
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise FormatError(f"{self.path}: expected '{FORMAT}'. {_CURE}")
-        if document.get("version") != VERSION:
-            raise FormatError(f"{self.path}: version {document.get('version')!a:.20}; this drsplat reads {VERSION}")
-        labels = document.get("labels")
-        if not isinstance(labels, list) or len(labels) > MAX_LABELS:
-            raise FormatError(f"{self.path}: expected a list of up to {MAX_LABELS:,} labels. {_CURE}")
-        return tuple(_label(entry, f"{self.path}: label {number}") for number, entry in enumerate(labels))
+        where = str(self.path)
+        document = as_document(read_json(self.path), where, FORMAT, VERSION)
+        entries = as_kind(document.get("labels"), list[_Entry], f"{where}: labels")
+        if len(entries) > MAX_LABELS:
+            raise FormatError(f"{where}: expected up to {MAX_LABELS:,} labels, got {len(entries):,}. {_CURE}")
+        labels = []
+        for number, (name, scene, center, runs) in enumerate(entries):
+            try:
+                labels.append(Label(name, scene, spans_of_runs(runs, f"{where}: label {number}: runs"), center))
+            except InputError as error:
+                raise FormatError(f"{where}: label {number}: {error}. {_CURE}") from error
+        return tuple(labels)
 
     def add(self, label: Label, instead: Sequence[Label] = ()) -> tuple[Label, ...]:
         """Keep a label, in place of those that it corrects; returns all there are now.
@@ -137,19 +151,11 @@ class LabelFile:
             if len(labels) > MAX_LABELS:
                 raise InputError(f"{self.path}: has {MAX_LABELS:,} labels, which is the most: remove some")
             entries = [
-                {
-                    "name": label.name,
-                    "scene": label.scene,
-                    "center": label.center.tolist(),
-                    "runs": runs_of(label.spans),
-                }
+                _Entry(label.name, label.scene, label.center.tolist(), runs_of(label.spans))._asdict()
                 for label in labels
             ]
-            text = json.dumps(
-                {"format": FORMAT, "version": VERSION, "labels": entries}, ensure_ascii=False, separators=(",", ":")
-            )
-            with replacing(self.path, overwrite=True) as file:
-                file.write(f"{text}\n".encode())
+            document = {"format": FORMAT, "version": VERSION, "labels": entries}
+            write_json(self.path, document, overwrite=True, indent=None, ensure_ascii=False, separators=(",", ":"))
         return labels
 
 
@@ -202,16 +208,3 @@ def _overlaps(label: Label, field: LanguageField) -> list[tuple[int, float, bool
 
 def _same(one: Label, other: Label) -> bool:
     return (one.name, one.scene) == (other.name, other.scene) and np.array_equal(one.spans, other.spans)
-
-
-def _label(entry: object, where: str) -> Label:
-    if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object. {_CURE}")
-    name, scene, runs = (entry.get(key) for key in ("name", "scene", "runs"))
-    if not isinstance(name, str) or not isinstance(scene, str) or not isinstance(runs, list):
-        raise FormatError(f"{where}: expected a name, the fingerprint of a scene and runs. {_CURE}")
-    center = as_vector(entry.get("center"), 3, f"{where}: center")
-    try:
-        return Label(name, scene, spans_of_runs(runs, f"{where}: runs"), center)
-    except InputError as error:
-        raise FormatError(f"{where}: {error}. {_CURE}") from error

@@ -3,13 +3,14 @@
 import hashlib
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from ..base.arrays import (
+    ArraysByName,
     Doubles,
     Embedding,
     Embeddings,
@@ -29,7 +30,7 @@ from ..scene.encoders import EncoderIdentity, identity_json, identity_text
 from ..scene.parted import AnyGaussians
 from ..scene.views import pictures_kind, scenes_rendered
 from .codes import Best, Code, Codebook, Hits, PQCode
-from .evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
+from .evidence.aggregation import MEAN_RECORD, AggregatorRecord
 from .evidence.evidence import Evidence, Explanation
 from .forest import Objects
 from .growth import Growth
@@ -78,13 +79,12 @@ _OTHER_FILE = (
 class LanguageField:
     """Features of the R Gaussians of a scene that have one; the others are absent, not zero.
 
-    gaussian_ids: rows of the scene, ascending. code: their features, as they are kept and searched. scene:
-    fingerprint of the N Gaussians. evidence: rows aligned with gaussian_ids, or None where it was not kept:
-    all that the photos said, also what the aggregator left out. aggregator: how a row of it became a feature.
-    contrast: the words that queries are contrasted with, None where whoever embeds queries embeds them.
-    up: the unit direction that is up in the photos, in the world; None where they do not tell. left_out: names of
-    photos that were kept from it on purpose, such as labelled ones.
-    objects: what belongs together, None where nobody has looked. growth: what adding views needs, None in old fields.
+    gaussian_ids: rows of the scene, ascending. code: their features, as they are kept and searched. scene: fingerprint
+    of the N Gaussians. evidence: rows aligned with gaussian_ids, or None where it was not kept: all that the photos
+    said, also what the aggregator left out. aggregator: how a row of it became a feature. contrast: the words that
+    queries are contrasted with, None where whoever embeds queries embeds them. up: the unit direction that is up in
+    the photos, in the world; None where they do not tell. left_out: photos that were kept from it on purpose.
+    objects: what belongs together, None where nobody has looked. growth: what adding views needs, None if unknown.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
     encoder.
@@ -366,9 +366,7 @@ class LanguageField:
             )
 
     def verify(self) -> None:
-        """Compare all that is on disk with its checksums; files of versions 1 and 2 have none.
-
-        A field that is in memory has nothing to compare.
+        """Compare all that is on disk with its checksums; a field that is in memory has nothing to compare.
 
         Raises: FormatError: a file is damaged.
         """
@@ -391,27 +389,27 @@ class LanguageField:
         )
 
     def _files(self) -> dict[str, TensorFile]:
-        tie = {"field": self.fingerprint}
         arrays = {"gaussian_ids": self.gaussian_ids} | self.code.tensors()
-        files = {CODES: TensorFile(arrays, tie)}
+        parts: dict[str, tuple[ArraysByName, dict[str, str]]] = {CODES: (arrays, {})}
         if self.evidence is not None:
-            files[EVIDENCE] = TensorFile(self.evidence.tensors(), self.evidence.metadata() | tie)
+            parts[EVIDENCE] = self.evidence.tensors(), self.evidence.metadata()
         if self.negatives is not None:
-            known = {"embeddings": self.negatives.embeddings, "maxima": self.negatives.maxima}
-            files[NEGATIVES] = TensorFile(known, tie)
+            parts[NEGATIVES] = {"embeddings": self.negatives.embeddings, "maxima": self.negatives.maxima}, {}
         if self.contrast is not None:
-            files[CONTRAST] = TensorFile({"embeddings": self.contrast.embeddings}, tie)
+            parts[CONTRAST] = {"embeddings": self.contrast.embeddings}, {}
         if self.objects is not None:
-            files[OBJECTS] = TensorFile(
-                self.objects.tensors(), {"votes": self.objects.votes} | tie if self.objects.votes else tie
-            )
+            parts[OBJECTS] = self.objects.tensors(), {"votes": self.objects.votes} if self.objects.votes else {}
         if self.growth is not None:
-            files[GROWTH] = TensorFile(self.growth.tensors(), self.growth.metadata() | tie)
-        return files
+            parts[GROWTH] = self.growth.tensors(), self.growth.metadata()
+        tie = {"field": self.fingerprint}
+        return {name: TensorFile(arrays, about | tie) for name, (arrays, about) in parts.items()}
 
     def _manifest(self, files: list[str]) -> dict[str, object]:
         from importlib.metadata import version
 
+        code: dict[str, object] = {"kind": self.code.kind}  # its arrays say the rest
+        if isinstance(self.code, PQCode):
+            code |= {"codebook": self.codebook.hash, "encoder": identity_json(self.codebook.encoder)}
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -422,8 +420,8 @@ class LanguageField:
             "num_gaussians": self.num_gaussians,
             "num_registered": len(self),
             "encoder": identity_json(self.encoder),
-            "code": self._code_json(),
-            "aggregator": record_json(self.aggregator),
+            "code": code,
+            "aggregator": asdict(self.aggregator),
             "up": None if self.up is None else self.up.tolist(),
             "left_out": list(self.left_out),
             "pictures": pictures_kind(self.rendered_from),
@@ -433,12 +431,6 @@ class LanguageField:
             "objects": None if self.objects is None else len(self.objects),
             "growth": None if self.growth is None else self.growth.json(),
         }
-
-    def _code_json(self) -> dict[str, object]:
-        if not isinstance(self.code, PQCode):
-            return {"kind": self.code.kind}  # its arrays say the rest
-        book = self.codebook
-        return {"kind": PQCode.kind, "codebook": book.hash, "encoder": identity_json(book.encoder)}
 
     def _unit(self, query: Float32[np.ndarray, "*c D"]) -> Float32[np.ndarray, "*c D"]:
         if query.shape[-1:] != (self.encoder.dim,):

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ..base.arrays import Embedding, Float32, Int64
+from ..base.arrays import Embedding, Indices, Numbers
 from ..kernels import Triples, splat_arrays, view_weights
 from ..scene.gaussians import Gaussians
 from ..scene.masks.features import ViewFeatures
@@ -28,7 +28,7 @@ TOPK = 40  # Gaussians of a pixel that count
 
 def coded_features(
     gaussians: Gaussians, views: Sequence[View], features: Mapping[str, ViewFeatures], topk: int = TOPK
-) -> tuple[Int64[np.ndarray, " r"], PQCode]:
+) -> tuple[Indices, PQCode]:
     """Register masks onto Gaussians and code what they become; return the rows that any mask sees, and their codes.
 
     views: undistorted. features: of each view, by its name; maps of the view's size.
@@ -54,6 +54,6 @@ def coded_features(
     return seen[has_direction], pq_code(codebook, codes)
 
 
-def cosines(code: PQCode, query: Embedding) -> Float32[np.ndarray, " r"]:
+def cosines(code: PQCode, query: Embedding) -> Numbers:
     """Return <q, c_i> / |c_i|, q the vector of a text or a picture: L look-ups of <q_l, centroid> (Sec. B)."""
     return code.scores((query / np.linalg.norm(query))[None])[0]

@@ -12,11 +12,12 @@ from scipy.sparse import csr_array, vstack
 
 from ..base.arrays import Flags, Ids, Indices, OtherIds, OtherIndices
 from ..errors import InputError
+from ..kernels.mixture import MAX_ATOMS
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Span
 from .building import Coded, build_field, chosen_code, encode_features, grown_of
 from .codes import PQ, Codebook, Codes, Mixture, PQCode, Track, pq_code, untracked
-from .codes.mixture import Mixed, MixtureCode, fits_at_once, regrown_mixture
+from .codes.mixture import Mixed, MixtureCode, regrown_mixture
 from .evidence.aggregation import MEAN, aggregator
 from .evidence.aggregation.entries import canonical, with_weights
 from .evidence.changing import REMOVED_COLUMN
@@ -68,7 +69,8 @@ def regrown_field(
         return None
     rows = np.flatnonzero(~touched[field.gaussian_ids])
     seen = np.flatnonzero(touched & (np.diff(evidence.weights.indptr) > 0))
-    seen = _neighbours(evidence, seen)
+    weights = evidence.weights  # rows under one mask share their others, which then stay in caches
+    seen = seen[np.argsort(weights.indices[weights.indptr[seen]], kind="stable")]
     ids = np.concatenate([field.gaussian_ids[rows].astype(np.int64), seen])
     columns = _columns(field.evidence.masks, evidence.masks, changed)
     coded = _coded_again(field, rows, columns, evidence.rows(seen), ids, threads=threads, track=track)
@@ -82,12 +84,6 @@ def regrown_field(
     )  # fmt: skip
 
 
-def _neighbours(evidence: Evidence, rows: Indices) -> Indices:
-    """Sort rows by their first masks: rows under one mask share their others, which then stay in caches."""
-    weights = evidence.weights
-    return rows[np.argsort(weights.indices[weights.indptr[rows]], kind="stable")]
-
-
 def _can_stay(field: LanguageField, growth: Growth, evidence: Evidence, changed: Collection[str]) -> bool:
     """Return True if rows that have not changed have the same code as if all were coded anew."""
     how = aggregator(field.aggregator.name)
@@ -99,14 +95,10 @@ def _can_stay(field: LanguageField, growth: Growth, evidence: Evidence, changed:
         return True
     if isinstance(code, Mixture) != isinstance(field.code, MixtureCode):
         return False  # another one is the smaller now
-    if isinstance(code, Mixture) and not _all_addressable(field, growth, evidence):
-        return False
+    most = max(len(field.evidence.masks), len(evidence.masks)) + len(growth.scene_atoms or ())
+    if isinstance(code, Mixture) and most > MAX_ATOMS:
+        return False  # columns were left out, or are now
     return growth.learnt_from == learning_views(evidence) and not set(changed) & set(growth.learnt_from)
-
-
-def _all_addressable(field: LanguageField, growth: Growth, evidence: Evidence) -> bool:
-    assert field.evidence is not None
-    return all(fits_at_once(len(one.masks), growth.scene_atoms) for one in (field.evidence, evidence))
 
 
 def _columns(before: MaskIds, now: MaskIds, changed: Collection[str]) -> Ids:
@@ -140,21 +132,11 @@ def _coded_again(
     assert isinstance(field.code, PQCode)
     codes, directed = encode_features(MEAN(some), field.codebook, threads, track)
     codes = codes.rows(np.flatnonzero(directed))
-    old, norms = field.code.codes(rows), field.code.inverse_norms[rows]
-    norms = np.concatenate([norms, field.codebook.inverse_norms(codes)])
+    norms = np.concatenate([field.code.inverse_norms[rows], field.codebook.inverse_norms(codes)])
     order = np.argsort(np.concatenate([ids[: len(rows)], ids[len(rows) :][directed]]))
-    return Coded(pq_code(field.codebook, _ordered(old, codes, order), norms[order]), directed)
-
-
-def _ordered(one: Codes, other: Codes, order: Indices) -> Codes:
-    """Return the codes at `order` of both, one after the other."""
-    places = np.empty_like(order)
-    places[order] = np.arange(len(order))
-    codes = np.empty((len(order), one.codes.shape[1]), np.uint8)
-    codes[places[: len(one.codes)]], codes[places[len(one.codes) :]] = one.codes, other.codes
-    if one.coarse_ids is None or other.coarse_ids is None:
-        return Codes(codes)
-    return Codes(codes, np.concatenate([one.coarse_ids, other.coarse_ids])[order])
+    both = zip(field.code.codes(rows), codes, strict=True)
+    joined = Codes(*(None if new is None else np.concatenate([old, new])[order] for old, new in both))
+    return Coded(pq_code(field.codebook, joined, norms[order]), directed)
 
 
 def field_during(
@@ -177,7 +159,11 @@ def field_during(
     some = with_weights(evidence, np.where(entries, weights.data, np.float32(0)))
     how = aggregator(field.aggregator.name)
     aggregated = replace(how(some, gaussians, threads=threads), record=field.aggregator)
-    made = build_field(some, field.scene, field.encoder, _code(field), aggregated=aggregated, threads=threads)
+    wish = None if field.growth is None else field.growth.code
+    code: PQ | Mixture | Codebook = Mixture() if wish is None or isinstance(wish, PQ) else Mixture(wish.atoms)
+    if isinstance(field.code, PQCode):
+        code = field.code.codebook
+    made = build_field(some, field.scene, field.encoder, code, aggregated=aggregated, threads=threads)
     return replace(made, up=field.up, left_out=field.left_out).with_words_of(field, threads=threads)
 
 
@@ -195,11 +181,3 @@ def views_during(field: LanguageField, during: Span) -> Flags:
             f"{field.times.max():g}"
         )
     return inside
-
-
-def _code(field: LanguageField) -> PQ | Mixture | Codebook:
-    """Return the specification of the field's code: its codebook, or as many masks for each row."""
-    if isinstance(field.code, PQCode):
-        return field.code.codebook
-    wish = None if field.growth is None else field.growth.code
-    return Mixture() if wish is None or isinstance(wish, PQ) else Mixture(wish.atoms)

@@ -213,6 +213,7 @@ def _of_type(value: object, kind: type[T], called: str, where: str) -> T:
 _CHECKS: Mapping[Any, Callable[[Any, str], Any]] = {
     float: as_number,
     int: as_count,
+    int | float: as_number,
     str: as_text,
     bool: lambda value, where: _of_type(value, bool, "true or false", where),
     object: lambda value, where: value,

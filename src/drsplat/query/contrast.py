@@ -159,22 +159,16 @@ class Contrast:
 
 
 def _near(vectors: Embeddings, query: Embedding) -> Flags:
-    """Mark the words that mean the same as the query. The last answer is kept: many scenes ask with one list."""
+    """Mark the words that mean the same as the unit query. The last answer is kept: many scenes ask with one list."""
     global _last_near
     last = _last_near
     if last is None or last[0] is not vectors or not np.array_equal(last[1], query):
-        texts = np.concatenate([vectors, query[None]]).astype(np.float64)
-        same = row_products(texts[:-1], texts[-1]) > 1 - 1e-5
-        texts -= texts.mean(0)
-        norms = np.maximum(np.linalg.norm(texts, axis=1), 1e-12)
-        cosines = row_products(texts[:-1], texts[-1]) / (norms[:-1] * norms[-1])
-        near = np.asarray(same | (cosines > SAME_MEANING_COSINE))
-        last = _last_near = vectors, query, near
+        last = _last_near = vectors, query, near_each(vectors, query[None])[:, 0]
     return last[2]
 
 
 def near_each(vectors: Embeddings, queries: Float32[Array, "q D"]) -> Bool[Array, "n q"]:
-    """Mark the words that mean the same as each of many unit queries: what `_near` does for one.
+    """Mark the words that mean the same as each of some unit queries.
 
     Both are seen from the mean of the list and the query: with c = n + 1 texts and all from the list's mean, that of a
     query q is q / c.

@@ -65,7 +65,7 @@ def object_names(
     """Return a word for each of some nodes where the encoder is sure of it, else None.
 
     What a node is called by is its first descriptor: that of most of its weight. The best word has to fit clearly
-    better than every other of the list that means something else, each word's usual fit taken off (`_sure_words`).
+    better than every other of the list that means something else, each word's usual fit taken off (`_sure`).
 
     Args:
         encoder: who embeds words.
@@ -128,16 +128,9 @@ def _sure_texts(
 def _sure(
     seen: _Seen, texts: Sequence[str], vectors: Embeddings, every: OtherEmbeddings, least: float
 ) -> list[str | None]:
-    """Return the text that each node is called by; see `_sure_words`."""
-    sure = iter(_sure_words(seen, vectors, every, least))
-    chosen = [next(sure) if has else -1 for has in seen.has]
-    return [texts[word] if word >= 0 else None for word in chosen]
+    """Return the text that each node is called by, None for none and where another word fits nearly as well.
 
-
-def _sure_words(seen: _Seen, vectors: Embeddings, every: OtherEmbeddings, least: float) -> list[int]:
-    """Return for each row the number of its best word, -1 where another fits nearly as well.
-
-    vectors: of the words, with which `every` begins. least: by how much the best exceeds all that do not mean the same,
+    vectors: of the texts, with which `every` begins. least: by how much the best exceeds all that do not mean the same,
     in standard deviations of cosines of words and pictures once the means of both are off, as of `Contrast.spread`.
     """
     cosines, scores = (dense_rows(rows, every.T, threads=1) for rows in (seen.pictures, seen.rows))
@@ -150,7 +143,9 @@ def _sure_words(seen: _Seen, vectors: Embeddings, every: OtherEmbeddings, least:
     cosines -= cosines.mean(0)
     cosines -= cosines.mean(1, keepdims=True)
     margins = (scores[np.arange(len(best)), best] - others) / max(float(cosines.std()), MIN_SPREAD)
-    return np.where(margins >= least, best, -1).tolist()
+    words = iter(np.where(margins >= least, best, -1).tolist())
+    chosen = [next(words) if has else -1 for has in seen.has]
+    return [texts[word] if word >= 0 else None for word in chosen]
 
 
 def best_names(

@@ -4,7 +4,7 @@ The rules are those of `measuring`, with an object in place of Gaussians: an obj
 that fits best, and one that fits is enough.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -37,12 +37,6 @@ class Described:
 
     descriptors: Embeddings
     starts: OtherIndices
-
-    @classmethod
-    def of(cls, parts: Sequence[Float32[np.ndarray, "_ D"]], dim: int) -> "Described":
-        """Return objects from the descriptors of each; `dim` numbers each."""
-        rows = np.concatenate([np.empty((0, dim), np.float32), *parts])
-        return cls(rows, np.append(0, np.cumsum([len(part) for part in parts], dtype=np.int64)))
 
     def best(self, values: Numbers) -> Float32[np.ndarray, " o"]:
         """Return the highest of each object's values of descriptors."""
@@ -147,7 +141,9 @@ class Surroundings:
             if contrasted is not None:
                 names = 1 if same is None else int(same.sum())
                 return contrasted, RELEVANCY, self._list_threshold(known, cosines, contrasted, names), LIST
-        return cosines, COSINE, self._automatic(vector, cosines), AUTO
+        usual = np.concatenate([row_products(self.usual, vector), cosines])  # what objects reach, and the best
+        cut = automatic_threshold(usual, OBJECT_CUT_SHARE, peak=MIN_OBJECTS) if len(usual) else 0.0
+        return cosines, COSINE, cut, AUTO
 
     def _contrast_for(self, text: str) -> Contrast | None:
         """Return what a text competes with: words of its own kind where the encoder says so, else a list of words."""
@@ -187,11 +183,6 @@ class Surroundings:
         if cosines.max() <= least_peak(self.encoder, known, MIN_OBJECTS):
             return float(values.max())
         return threshold_above(values, MIN_OBJECT_RELEVANCY, OBJECT_CUT_SHARE, peak=MIN_OBJECTS)
-
-    def _automatic(self, vector: Embedding, cosines: Numbers) -> float:
-        """Return a threshold between what objects usually reach and the best."""
-        known = np.concatenate([row_products(self.usual, vector), cosines])
-        return automatic_threshold(known, OBJECT_CUT_SHARE, peak=MIN_OBJECTS) if len(known) else 0.0
 
     def _negatives(self, query: Query) -> Embeddings:
         given = NEGATIVES if query.negatives is None else query.negatives

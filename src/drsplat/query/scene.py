@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,9 +26,6 @@ from .query import Cut, Query
 from .search import PixelWeights, feature_of, pixel_weights, row_of, seen_among
 from .tasks import locate, segment, sure_matches, whole_of
 from .wholes import for_comparing
-
-if TYPE_CHECKING:
-    pass
 
 Place = int | Point | tuple[str, float, float]
 
@@ -398,19 +394,18 @@ class Scene(Held):
         >>> len(scene.best_views([match.gaussian_ids for match in scene.objects]))
         2
         """
-        from ..drawing.pictures import best_views
+        from ..drawing.pictures import best_views, shown_areas
         from .seen import views_showing
 
         if self.tiles is None:
             return best_views(self.motion or self.gaussians, among or self.views, selections, threads=self.threads)
-        field, rows, views = self.field, self.rows, self.views
-        return [self._best_in_tiles(ids, among or views_showing(field, rows, views, ids)) for ids in selections]
-
-    def _best_in_tiles(self, ids: RowIds, views: Sequence[View]) -> View:
-        from .seen import areas_in_tiles
-
-        areas = [areas_in_tiles(self.seen(view), view, ids, self.threads) for view in views]
-        return views[int(np.argmax(areas))]
+        best = []
+        for ids in selections:
+            views = among or views_showing(self.field, self.rows, self.views, ids)
+            seen = ((view, self.seen(view)) for view in views)
+            areas = [shown_areas(one.splats, at, [one.local(ids)], threads=self.threads)[0] for at, one in seen]
+            best.append(views[int(np.argmax(areas))])
+        return best
 
     def _row_at(self, place: Place, objects: Objects) -> int:
         """Return the row at a place; for a click, the heaviest Gaussian of the object that is seen most there."""

@@ -100,13 +100,6 @@ def _joined(parts: list[Gaussians], tiles: Tiles) -> Gaussians:
     return Gaussians(means, quats, scales, opacities, sh, {}, tiles.origin, tiles.antialiased)
 
 
-def areas_in_tiles(seen: Seen, view: View, ids: RowIds, threads: int) -> float:
-    """Return how much of a view some Gaussians fill, as `drawing.pictures.shown_areas`."""
-    from ..drawing.pictures import shown_areas
-
-    return float(shown_areas(seen.splats, view, [seen.local(ids)], threads=threads)[0])
-
-
 def views_showing(field: LanguageField, rows: AnyGaussians, views: Sequence[View], ids: RowIds) -> list[View]:
     """Return a few views whose masks have the largest weights in some Gaussians; without evidence, near ones.
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, FloatRows, Int64, Mask, OtherPixels, RowIds, Vector3
+from ...base.arrays import Int64, Mask, OtherPixels, RowIds, Vector3
 from ...base.progress import Stopwatch
 from ...base.terminal import counted
 from ...drawing.pictures import (
@@ -214,24 +214,13 @@ class _Judge:
         chosen = np.zeros((len(self.scene.gaussians), len(answers)), np.float32)
         for column, verdict in enumerate(answers):
             chosen[verdict.gaussian_ids, column] = 1
-        seen = [self._visible(view, chosen) for view in self.held_out]
-        return [
-            replace(
-                verdict, iou=mask_iou(np.concatenate([v[..., column] for v in seen]), self._true(verdict.probe.meant))
-            )
-            if verdict.probe.meant
-            else verdict
-            for column, verdict in enumerate(answers)
-        ]
-
-    def _visible(self, view: View, chosen: FloatRows) -> Bool[np.ndarray, "h w k"]:
-        """Return where each answer's Gaussians have more than half of the weight."""
-        drawn = render_channels(self.splats, view, chosen, threads=self.scene.threads)
-        return drawn.channels > 0.5
-
-    def _true(self, meant: tuple[str, ...]) -> Mask:
-        """Return where the held-out photos show these categories."""
-        return np.concatenate([self.household.mask(view.name, meant) for view in self.held_out])
+        drawn = [render_channels(self.splats, view, chosen, threads=self.scene.threads) for view in self.held_out]
+        seen, judged = np.concatenate([one.channels for one in drawn]) > 0.5, []  # more than half of the weight
+        for column, verdict in enumerate(answers):
+            meant = verdict.probe.meant
+            truth = np.concatenate([self.household.mask(view.name, meant) for view in self.held_out])
+            judged.append(replace(verdict, iou=mask_iou(seen[..., column], truth) if meant else None))
+        return judged
 
 
 def _ids(matches: Sequence[Match]) -> RowIds:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -115,6 +115,19 @@ class Codebook:
             block = features[rows]
             coarse_ids[rows] = nearest = nearest_centres(block, self.coarse, threads=threads)
             codes[rows] = pq_encode(block - self.coarse[nearest], self.centroids, threads=threads)
+        return Codes(codes, coarse_ids)
+
+    def encode_blocks(self, count: int, features: Callable[[int, int], Embeddings], *,
+        threads: int = 0, track: Track = untracked,
+    ) -> Codes:  # fmt: skip
+        """Return the codes of `count` features that are made a block at a time: `features(begin, end)`."""
+        codes = np.empty((count, self.num_subvectors), np.uint8)
+        coarse_ids = None if self.coarse is None else np.empty(count, np.uint16)
+        for begin in track(range(0, count, BLOCK_ROWS), "coding Gaussians"):
+            end = min(begin + BLOCK_ROWS, count)
+            codes[begin:end], nearest = self.encode(features(begin, end), threads=threads)
+            if coarse_ids is not None and nearest is not None:
+                coarse_ids[begin:end] = nearest
         return Codes(codes, coarse_ids)
 
     def decode(self, codes: Codes) -> Embeddings:

@@ -125,18 +125,15 @@ class ColumnMaker:
     sampling: Sampling
     threads: int
 
-    def columns(self, view: View, features: ViewFeatures) -> Columns:
-        """Compute the view's columns, unless the very same ones are in the folder.
+    def columns(self, view: View, features: ViewFeatures) -> tuple[Columns, bool]:
+        """Return the view's columns, and whether they were computed now: the very same ones may be in the folder.
 
         Raises: MismatchError: the map has another shape than the photo.
         """
-        return self.load_or_compute(view, features)[0]
-
-    def load_or_compute(self, view: View, features: ViewFeatures) -> tuple[Columns, bool]:
-        """Return the view's columns, and whether they were computed now; see `columns`."""
         mask_ids = _mask_ids(view, features)
         key = self._key(view, mask_ids)
-        marks = _marks(key)
+        isa = default_isa() if device_in_use() == "cpu" else device_in_use()  # another one changes the last bits
+        marks = {"key": key.hex(), "isa": isa}
         path = self.folder / part_name(view.name)
         columns, is_new = Columns(view.name, path, features.embeddings, key), not is_finished(path, marks)
         if is_new:
@@ -157,15 +154,10 @@ class ColumnMaker:
         return self._key(view, _mask_ids(view, features))
 
     def _key(self, view: View, mask_ids: MaskIds) -> bytes:
-        salt = f"{self._settings} {self.scenery.digest(view)}"
-        return digest_of(view.K, view.cam_from_world, mask_ids, salt=salt)
-
-    @cached_property
-    def _settings(self) -> str:
-        """Version and sampling, as they enter the key of every view."""
         sampling = self.sampling
         pixels = "" if sampling.pixels == "all" else f" {sampling.pixels}"
-        return f"{COLUMNS_VERSION} {sampling.topk} {sampling.first_hits}{pixels}"
+        salt = f"{COLUMNS_VERSION} {sampling.topk} {sampling.first_hits}{pixels} {self.scenery.digest(view)}"
+        return digest_of(view.K, view.cam_from_world, mask_ids, salt=salt)
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> MaskIds:
@@ -196,11 +188,6 @@ def digest_of(*arrays: np.ndarray, salt: str = "") -> bytes:
     return digest.digest()
 
 
-def _marks(key: bytes) -> dict[str, str]:
-    """Return the marks of a finished part: another instruction set changes the last bits."""
-    return {"key": key.hex(), "isa": default_isa() if device_in_use() == "cpu" else device_in_use()}
-
-
 def is_finished(path: Path, marks: Mapping[str, str]) -> bool:
     """Return whether the file exists, is not damaged and was made with the same marks."""
     if not path.exists():
@@ -211,16 +198,12 @@ def is_finished(path: Path, marks: Mapping[str, str]) -> bool:
         return False
 
 
-def stack_columns(columns: Sequence[Columns], num_gaussians: int) -> csr_array:
+def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_rows: int) -> csr_array:
     """Stack the views' triples into W (N, M) in CSR form, in two passes over them; 8 bytes per weight.
 
-    Columns stay in the order of the views; within a row they are ascending.
+    Columns stay in the order of the views; within a row they are ascending. views: each reads one view's triples.
+    widths: columns of each view.
     """
-    return stacked([view.triples for view in columns], [len(view.embeddings) for view in columns], num_gaussians)
-
-
-def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_rows: int) -> csr_array:
-    """Stack triples as `stack_columns` does. views: each reads one view's triples. widths: columns of each view."""
     starts = np.zeros(num_rows + 1, np.int64)
     for triples in views:
         ids = triples().gaussian_ids

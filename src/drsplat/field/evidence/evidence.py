@@ -14,14 +14,17 @@ from ...base.arrays import (
     Embedding,
     Embeddings,
     Ids,
+    Indices,
     Numbers,
     OtherDoubles,
+    OtherIndices,
     RowIds,
     Sparse,
     WholeNumbers,
 )
 from ...base.contents import release
 from ...errors import FormatError, InputError
+from ...formats.json_files import as_kind, document_in
 from ...formats.tensors import check_tensors
 from ...kernels import weighted_rows
 from ...kernels.algebra import row_products
@@ -73,6 +76,14 @@ class MaskIds:
     def sources(self) -> tuple[str, ...]:
         """`rendered_from` of every view."""
         return self.rendered_from or ("",) * len(self.view_names)
+
+    def taken(self, views: Indices, columns: OtherIndices) -> "MaskIds":
+        """Return some columns in this order, of some views in this order."""
+        place = np.empty(len(self.view_names), np.int32)
+        place[views] = np.arange(len(views), dtype=np.int32)
+        names, sources = ([texts[view] for view in views] for texts in (self.view_names, self.sources))
+        times, rendered = None if self.times is None else self.times[views], tuple(sources) if any(sources) else ()
+        return MaskIds(tuple(names), place[self.views[columns]], self.ids[columns], times, rendered)
 
 
 class Entries(NamedTuple):
@@ -190,11 +201,9 @@ class Evidence:
         support = data[of_row] * row_products(self.embeddings[columns].astype(np.float64), query)
         total = support[support > 0].sum()
         order = np.argsort(-support, kind="stable")[:top]
-        return [self._explanation(int(columns[k]), float(support[k] / total)) for k in order if support[k] > 0]
-
-    def _explanation(self, column: int, share: float) -> Explanation:
-        masks = self.masks
-        return Explanation(masks.view_names[masks.views[column]], int(masks.ids[column]), share)
+        masks, best = self.masks, order[support[order] > 0]
+        shown = zip(columns[best].tolist(), (support[best] / total).tolist(), strict=True)
+        return [Explanation(masks.view_names[masks.views[j]], int(masks.ids[j]), share) for j, share in shown]
 
     def tensors(self) -> Arrays:
         """Return the arrays by name, as they are written to files; `metadata` holds the rest."""
@@ -261,20 +270,12 @@ def evidence_from_tensors(tensors: ArraysByName, metadata: Mapping[str, str], wh
     whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
     if not whole or (indptr[1:] < indptr[:-1]).any():
         raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
+    names, rendered = (
+        as_kind(document_in(metadata.get(name, default), where), tuple[str, ...], f"{where}: {name}")
+        for name, default in (("view_names", ""), ("rendered_from", "[]"))
+    )
     try:
-        rendered = _texts(metadata, "rendered_from") if "rendered_from" in metadata else ()
-        masks = MaskIds(_texts(metadata, "view_names"), views, ids, tensors.get("view_times"), rendered)
+        masks = MaskIds(names, views, ids, tensors.get("view_times"), rendered)
         return StoredEvidence.of(Entries(indptr, indices, data), masks, embeddings)
     except ValueError as error:
         raise FormatError(f"{where}: {error}") from error
-
-
-def _texts(metadata: Mapping[str, str], key: str) -> tuple[str, ...]:
-    """Read a text for each view. Raises: InputError: the metadata holds no list of texts by that key."""
-    try:
-        texts = json.loads(metadata.get(key, ""))
-    except RecursionError:
-        texts = None
-    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
-        raise InputError(f"{key}: expected a list of texts, one for each view")
-    return tuple(texts)

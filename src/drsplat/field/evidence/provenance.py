@@ -41,7 +41,9 @@ class Provenance:
                 raise InputError(f"{name}: expected {dtype} {shape}, got {array.dtype} {array.shape}")
         if not (np.abs(self.axes) <= MAX_ABS_AXIS).all():  # NaN is not either
             raise InputError("axes: expected unit vectors")
-        if self.cameras is not None and not _are_cameras(self.cameras, count):
+        cameras = np.ones((count, CAMERA_NUMBERS)) if self.cameras is None else self.cameras
+        fits = cameras.dtype == np.float64 and cameras.shape == (count, CAMERA_NUMBERS) and np.isfinite(cameras).all()
+        if not fits or (cameras[:, 12:14] <= 0).any() or (cameras[:, 16:] < 1).any():
             raise InputError(
                 f"cameras: expected {CAMERA_NUMBERS} finite numbers, with lengths and sizes above 0, for each view"
             )
@@ -81,7 +83,8 @@ class Provenance:
         cameras = None
         if self.cameras is not None and other.cameras is not None:
             cameras = np.concatenate([self.cameras, other.cameras])[order]
-        return Provenance(axes, keys, _joined((self.isa, other.isa)), self.level or other.level, cameras)
+        isas = {*self.isa.split("+"), *other.isa.split("+")}
+        return Provenance(axes, keys, "+".join(sorted(isas)), self.level or other.level, cameras)
 
 
 def cameras_of(views: Sequence[View]) -> Float64[np.ndarray, "v 18"]:
@@ -97,13 +100,3 @@ def _view(name: str, numbers: Float64[np.ndarray, " 18"]) -> View:
     lens = np.array([[across, 0.0, x], [0.0, down, y], [0.0, 0.0, 1.0]])
     whole = np.concatenate([pose, [[0.0, 0, 0, 1]]])
     return View(name, width=int(width), height=int(height), K=lens, cam_from_world=whole)
-
-
-def _are_cameras(numbers: np.ndarray, count: int) -> bool:
-    if numbers.dtype != np.float64 or numbers.shape != (count, CAMERA_NUMBERS) or not np.isfinite(numbers).all():
-        return False
-    return bool((numbers[:, 12:14] > 0).all() and (numbers[:, 16:] >= 1).all())
-
-
-def _joined(isas: Sequence[str]) -> str:
-    return "+".join(sorted({isa for joined in isas for isa in joined.split("+")}))

@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from warnings import warn
 
@@ -77,8 +76,10 @@ def add_views(
     encoder or size of embeddings, or masks of another level.
     """
     watch = Stopwatch()
-    before, how = _opened(field, scene)
-    _check_features(field, features)
+    before, how = registration_of(field, scene), recorded_aggregator(field)
+    encoder = getattr(features, "encoder", None)
+    if encoder is not None:  # features that name none are taken for the field's
+        field.check_encoder(encoder)
     chosen = with_features(views, features)
     present = [(view, key) for view, key in chosen if view.name in before.masks.view_names]
     others = Comparison(before, scene).changed(present, features, track) if renew and present else []
@@ -134,7 +135,7 @@ def remove_views(
     MismatchError: another scene.
     """
     watch = Stopwatch()
-    before, how = _opened(field, scene)
+    before, how = registration_of(field, scene), recorded_aggregator(field)
     assert field.growth is not None
     gone = set(names) & set(field.growth.removed) - set(before.masks.view_names)
     names = set(names) - gone
@@ -174,17 +175,6 @@ def check_growth(field: LanguageField) -> None:
     """Check that views can be added to a field. Raises: InputError: it does not say how it was made."""
     if field.evidence is None or field.growth is None or field.aggregator.sampling is None:
         raise InputError(f"this field does not say how it was made, as fields of older versions do not: {CURE}")
-
-
-def _opened(field: LanguageField, scene: Gaussians | Moving) -> tuple[Registration, Aggregator]:
-    return registration_of(field, scene), recorded_aggregator(field)
-
-
-def _check_features(field: LanguageField, features: Mapping[str, ViewFeatures]) -> None:
-    """Refuse features of another encoder than the field's; those that name none are taken for the field's."""
-    encoder = getattr(features, "encoder", None)
-    if encoder is not None:
-        field.check_encoder(encoder)
 
 
 def warn_of_isa(provenance: Provenance | None) -> None:
@@ -252,23 +242,26 @@ def _touched(evidence: Evidence, names: Collection[str]) -> Flags:
     return rows_with(evidence.weights, changed[masks.views])
 
 
-@dataclass(frozen=True, eq=False)
 class Comparison:
     """Comparison of views with a registration of these Gaussians whose provenance is known."""
 
-    registration: Registration
-    scene: Gaussians | Moving
+    def __init__(self, registration: Registration, scene: Gaussians | Moving) -> None:
+        sampling = registration.sampling
+        if sampling is None:
+            raise InputError("how the photos were looked at is not known of this registration: register again")
+        self.registration = registration
+        self._maker = ColumnMaker(scenery_of(scene, sampling.near), Path(), sampling, 0)
 
     def changed(
         self, views: Sequence[tuple[View, str]], features: Mapping[str, ViewFeatures], track: Track = untracked
     ) -> list[View]:
         """Return the views whose camera, masks or embeddings have changed. views: each with its features' name."""
-        return [view for view, key in track(views, "comparing views") if not self._is_same(view, features[key])]
-
-    def _is_same(self, view: View, features: ViewFeatures) -> bool:
-        return self.has_masks(view, features) and np.array_equal(
-            self.registration.embeddings[self._columns(view.name)], features.embeddings
-        )
+        others = []
+        for view, key in track(views, "comparing views"):
+            embeddings = self.registration.embeddings[self._columns(view.name)]
+            if not self.has_masks(view, features[key]) or not np.array_equal(embeddings, features[key].embeddings):
+                others.append(view)
+        return others
 
     def has_masks(self, view: View, features: ViewFeatures) -> bool:
         """Return whether camera and masks, and so W's columns, are those of the registration."""
@@ -282,10 +275,3 @@ class Comparison:
     def _columns(self, name: str) -> np.ndarray:
         masks = self.registration.masks
         return masks.views == masks.view_names.index(name)
-
-    @cached_property
-    def _maker(self) -> ColumnMaker:
-        sampling = self.registration.sampling
-        if sampling is None:
-            raise InputError("how the photos were looked at is not known of this registration: register again")
-        return ColumnMaker(scenery_of(self.scene, sampling.near), Path(), sampling, 0)

@@ -34,7 +34,13 @@ def with_weights_of(
     before = registration_of(field, scene)
     warn_of_isa(before.provenance)
     new = [(view, key) for view, key in with_features(views, features) if view.name not in kept_out(field)]
-    _refuse_other_views(before.masks.view_names, [view.name for view, _ in new])
+    known, given = set(before.masks.view_names), {view.name for view, _ in new}
+    missing, more = sorted(known - given), sorted(given - known)
+    if missing or more:
+        raise InputError(
+            f"expected features of exactly the views of the field: {len(missing)} of it have none here, {len(more)} "
+            f"are not in it: {listed([*missing, *more])}"
+        )
     compared = Comparison(before, scene)
     others, embeddings, dim = [], [], 0
     for view, key in track(new, "comparing masks"):
@@ -49,12 +55,3 @@ def with_weights_of(
         )
     encoder = getattr(features, "encoder", None) or EncoderIdentity(UNKNOWN_ENCODER, dim)
     return before.with_embeddings(np.concatenate(embeddings), encoder)
-
-
-def _refuse_other_views(known: Sequence[str], given: Sequence[str]) -> None:
-    missing, more = sorted(set(known) - set(given)), sorted(set(given) - set(known))
-    if missing or more:
-        raise InputError(
-            f"expected features of exactly the views of the field: {len(missing)} of it have none here, {len(more)} "
-            f"are not in it: {listed([*missing, *more])}"
-        )

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Float64, Integer
+from ...base.arrays import Doubles, Flags, Numbers, WholeNumbers
 
 MIN_AGREEMENT = 0.25
 FEW_PHOTOS = 3  # or fewer: from most sides, nobody has seen the object
 PRIOR_PHOTOS = 2  # of no object at all, counted with those of each object
 
 
-def agreed(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
+def agreed(sure: Numbers, num_views: WholeNumbers) -> Flags:
     """Return per object whether photos agree on it: those that are listed first.
 
     An object of many photos needs a sureness of 0.25, one of three 0.42, of two 0.5 and of a single one 0.75.
@@ -23,7 +23,7 @@ def agreed(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]
     return np.asarray(agreement(sure, num_views) >= MIN_AGREEMENT)
 
 
-def agreement(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Float64[np.ndarray, " o"]:
+def agreement(sure: Numbers, num_views: WholeNumbers) -> Doubles:
     """Return the mean sureness of an object's photos and of two that know nothing of it.
 
     The two are there because a photo alone only agrees with itself. Arguments are those of `agreed`.

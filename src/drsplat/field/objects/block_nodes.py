@@ -11,30 +11,31 @@ from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
 from ...base.arrays import (
+    AnyPoints,
     Arrays,
-    Bool,
+    DoubleRows,
     Doubles,
     Flags,
-    Float,
     Float32,
-    Float64,
     Ids,
     Indices,
     Int32,
     Int64,
-    Integer,
+    Numbers,
+    OtherFlags,
+    OtherIds,
+    OtherIndices,
     Vector3,
     Vectors,
+    WholeNumbers,
 )
 from ...base.working import Held
 from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.morton import morton_codes, morton_order
+from ..evidence.aggregation.entries import with_entries
 from ..evidence.pieces import HeldRows
-from .choosing import NONE, _owners, pairs_above
-
-NodeFlags = Bool[np.ndarray, " t"]
-OfNodes = Int32[np.ndarray, " t"]
-OfMasks = Int32[np.ndarray, " m"]
+from ..forest import owner_nodes
+from .choosing import NONE, holding, pairs_above
 
 EDGE_SHARE = 0.9  # of the way to the end of the surroundings: what has rows beyond it goes on outside
 INNER_SHARE = 2 / 3  # of that way: rows within tell which nodes of two blocks are one
@@ -44,9 +45,7 @@ SURROUNDINGS_SHARE = 0.3  # of a block's longest side
 BULK_QUANTILES = (0.01, 0.99)  # of places: a side is measured between them, without strays
 CURVE_BITS = 10  # of each coordinate
 ROWS_AT_ONCE = 1 << 20
-OF_MASKS = ("views", "masses", "embeddings")
 
-Points = Vectors
 NUM_NEIGHBOURS = 12
 MAX_USUAL_DISTANCES = 4.0  # to the sixth neighbour, of the scene or of the Gaussian
 
@@ -60,7 +59,7 @@ class Block(NamedTuple):
     high: Vector3
     around: float
 
-    def away(self, points: Points) -> Doubles:
+    def away(self, points: Vectors) -> Doubles:
         """Return how far points are from the block, along the axis of the largest distance; 0 within, its end is out.
 
         In parts of `around`: surroundings reach up to 1.
@@ -70,30 +69,7 @@ class Block(NamedTuple):
         return np.asarray(np.where(ends, np.finfo(np.float64).tiny, outside / self.around))
 
 
-class BlockRows(NamedTuple):
-    """Rows of W in a block and around it, in an order that does not depend on that of the scene's rows.
-
-    rows: of the field. away: as of `Block`. points: places. indptr, indices, data: W, whose columns are `columns` of
-    the scene's masks, with their views, their weights in the whole scene, and embeddings along few directions.
-    """
-
-    rows: Indices
-    away: Doubles
-    points: Points
-    indptr: Int64[np.ndarray, " n1"]
-    indices: Int32[np.ndarray, " e"]
-    data: Float32[np.ndarray, " e"]
-    columns: OfMasks
-    views: OfMasks
-    masses: Float64[np.ndarray, " m"]
-    embeddings: Float32[np.ndarray, "m k"]
-
-    @property
-    def weights(self) -> csr_array:
-        return csr_array((self.data, self.indices, self.indptr), shape=(len(self.rows), len(self.columns)))
-
-
-def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> list[Block]:
+def in_blocks(points: Vectors, counts: WholeNumbers, most: int) -> list[Block]:
     """Cut a scene in halves, at medians along its longest side, until no block has more than `most` weights.
 
     counts: weights of each point. A block whose points are all in one place stays as it is.
@@ -129,31 +105,53 @@ class Nodes:
     rule: MergeRule
 
     def __call__(self, block: Block, threads: int) -> Arrays:
-        return nodes_of(self.around(block), self.thresholds, self.rule, threads)._asdict()
+        """Grow the forest of a block and what is around it. The same bits at any number of threads."""
+        scene = self.scene.arrays
+        rows = self._around(block)
+        points, weights = scene["points"][rows], self.weights.rows(rows)
+        weights = with_entries(weights, scene["kept"][weights.indices] & (weights.data > 0))
+        columns, indices = np.unique(weights.indices, return_inverse=True)
+        entries = (weights.data, indices.astype(np.int32), weights.indptr)
+        weights = csr_array(entries, shape=(len(rows), len(columns)))
+        views, masses, embeddings = (scene[name][columns] for name in ("views", "masses", "embeddings"))
+        rest = np.maximum(masses - np.bincount(weights.indices, weights.data, len(columns)), 0)
+        elsewhere = csr_array(np.where(rest > ROUNDING_SHARE * masses, rest, 0).astype(np.float32)[None])
+        everything = csr_array(vstack([weights, elsewhere]))  # a row without neighbours: what masks hold elsewhere
+        edges = neighbours(points, threads)
+        forest = agglomerate(everything, views, embeddings, edges, self.thresholds, self.rule, threads=threads)
+        (nodes,) = np.nonzero(forest.sizes >= self.rule.smallest)
+        judged = np.zeros(len(forest.sizes), bool)
+        judged[nodes] = True
+        number = np.append(np.cumsum(judged) - 1, NONE)
+        lowest = number[owner_nodes(forest.parents, judged)][: len(rows)]
+        parents, away = number[forest.parents[nodes]], block.away(points)
+        inside, cut = away == 0, holding(parents, lowest[away > EDGE_SHARE])
+        sums = _sums(weights, np.where(inside, lowest, NONE), parents, cut)
+        held = np.repeat(inside, np.diff(weights.indptr))
+        shown = np.bincount(views[weights.indices[held]], weights.data[held])
+        order = np.argsort(rows)
+        return BlockNodes(
+            rows[order], lowest[order].astype(np.int32), inside[order], (away <= INNER_SHARE)[order],
+            parents.astype(np.int32), _ranks(forest, self.thresholds)[nodes], forest.fits[nodes],
+            forest.spreads[nodes], cut, sums.indptr.astype(np.int64), columns[sums.indices].astype(np.int32),
+            sums.data.astype(np.float32),
+            np.flatnonzero(shown > MIN_SHOWN_SHARE * shown.max(initial=0)).astype(np.int32),
+        )._asdict()  # fmt: skip
 
-    def around(self, block: Block) -> BlockRows:
-        """Return the rows of W in a block and around it."""
-        scene, parts = self.scene.arrays, [np.empty(0, np.int64)]
-        points = scene["points"]
+    def _around(self, block: Block) -> Indices:
+        """Return the rows of W in a block and around it, in an order that does not depend on that of the scene's."""
+        points, parts = self.scene.arrays["points"], [np.empty(0, np.int64)]
         for begin in range(0, len(points), ROWS_AT_ONCE):
             parts.append(begin + np.flatnonzero(block.away(points[begin : begin + ROWS_AT_ONCE]) <= 1))
         rows = np.concatenate(parts)
-        rows = rows[_placed_order(points[rows], scene["sums"][rows])]
-        matrix = self.weights.rows(rows)
-        held = scene["kept"][matrix.indices] & (matrix.data > 0)
-        starts = np.append(0, np.cumsum(held))[matrix.indptr]
-        columns, indices = np.unique(matrix.indices[held], return_inverse=True)
-        return BlockRows(
-            rows, block.away(points[rows]), points[rows], starts.astype(np.int64), indices.astype(np.int32),
-            matrix.data[held], columns.astype(np.int32), *(scene[name][columns] for name in OF_MASKS),
-        )  # fmt: skip
+        return rows[_placed_order(points[rows], self.scene.arrays["sums"][rows])]
 
 
-def _placed_order(points: Points, sums: Doubles) -> Indices:
+def _placed_order(points: Vectors, sums: Doubles) -> Indices:
     """Return an order along a curve that only places decide, and sums of weights where places are equal."""
     if not len(points):
         return np.empty(0, np.int64)
-    codes = morton_codes(np.clip(points, *np.quantile(points, BULK_QUANTILES, axis=0)), CURVE_BITS)
+    codes = morton_codes(_without_strays(points), CURVE_BITS)
     return np.lexsort((sums, points[:, 2], points[:, 1], points[:, 0], codes))
 
 
@@ -166,63 +164,22 @@ class BlockNodes(NamedTuple):
     their rows inside in each mask, a row for each node that is cut. views: those that see the block.
     """
 
-    rows: Indices
-    lowest: Ids
-    inside: Flags
-    sure: Flags
-    parents: OfNodes
-    ranks: OfNodes
-    fits: Float32[np.ndarray, " t"]
-    spreads: Float32[np.ndarray, " t"]
-    cut: NodeFlags
+    rows: OtherIndices
+    lowest: Int32[np.ndarray, " m"]
+    inside: OtherFlags
+    sure: OtherFlags
+    parents: Ids
+    ranks: Ids
+    fits: Numbers
+    spreads: Numbers
+    cut: Flags
     indptr: Int64[np.ndarray, " c1"]
     indices: Int32[np.ndarray, " e"]
     data: Float32[np.ndarray, " e"]
-    views: Int32[np.ndarray, " v"]
+    views: OtherIds
 
 
-def nodes_of(block: BlockRows, thresholds: tuple[float, ...], rule: MergeRule, threads: int = 0) -> BlockNodes:
-    """Grow the forest of a block and what is around it. The same bits at any number of threads."""
-    weights, count = block.weights, len(block.rows)
-    rest = np.maximum(block.masses - np.bincount(block.indices, block.data, len(block.columns)), 0)
-    elsewhere = csr_array(np.where(rest > ROUNDING_SHARE * block.masses, rest, 0).astype(np.float32)[None])
-    everything = csr_array(vstack([weights, elsewhere]))  # a row without neighbours: what masks hold beyond the block
-    edges = neighbours(block.points, threads)
-    forest = agglomerate(everything, block.views, block.embeddings, edges, thresholds, rule, threads=threads)
-    judged = forest.sizes >= rule.smallest
-    number = np.append(np.cumsum(judged) - 1, NONE)
-    owners = _owners(forest.parents, judged)
-    lowest = number[owners][:count]
-    (nodes,) = np.nonzero(judged)
-    parents, inside = number[forest.parents[nodes]], block.away == 0
-    cut = _holding_any(parents, lowest[block.away > EDGE_SHARE])
-    sums = _sums(weights, np.where(inside, lowest, NONE), parents, cut)
-    order = np.argsort(block.rows)
-    return BlockNodes(
-        block.rows[order], lowest[order].astype(np.int32), inside[order], (block.away <= INNER_SHARE)[order],
-        parents.astype(np.int32), _ranks(forest, thresholds)[nodes], forest.fits[nodes], forest.spreads[nodes], cut,
-        sums.indptr.astype(np.int64), block.columns[sums.indices], sums.data.astype(np.float32), _seeing(block, inside),
-    )  # fmt: skip
-
-
-def _seeing(block: BlockRows, inside: Flags) -> Int32[np.ndarray, " v"]:
-    """Return the views with more than a sliver of the weight that the best view has inside the block."""
-    held = np.repeat(inside, np.diff(block.indptr))
-    shown = np.bincount(block.views[block.indices[held]], block.data[held])
-    return np.flatnonzero(shown > MIN_SHOWN_SHARE * shown.max(initial=0)).astype(np.int32)
-
-
-def _holding_any(parents: Int64[np.ndarray, " t"], nodes: Int64[np.ndarray, " k"]) -> NodeFlags:
-    """Mark nodes that are among some or above one of them."""
-    holding, at = np.zeros(len(parents), bool), np.unique(nodes[nodes >= 0])
-    while len(at):
-        holding[at] = True
-        at = np.unique(parents[at])
-        at = at[at >= 0]
-    return holding
-
-
-def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> OfNodes:
+def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> Ids:
     """Return the round of each merge: two for each threshold, the second where one of the first is merged further."""
     steps = np.searchsorted(-np.array(thresholds, np.float32), -forest.agreements)
     (below,) = np.nonzero((forest.parents >= 0) & (forest.sizes > 1))
@@ -232,7 +189,7 @@ def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> OfNodes:
     return (2 * steps + again).astype(np.int32)
 
 
-def _sums(weights: csr_array, nodes: Indices, parents: Int64[np.ndarray, " t"], cut: NodeFlags) -> csr_array:
+def _sums(weights: csr_array, nodes: OtherIndices, parents: Indices, cut: Flags) -> csr_array:
     """Return (C, M) the weights of the rows in each node that is cut. nodes: the lowest of each row, -1 for none."""
     (rows,), count = np.nonzero(nodes >= 0), len(parents)
     own = csr_array((np.ones(len(rows), np.float32), (nodes[rows], rows)), shape=(count, len(nodes)))
@@ -246,15 +203,18 @@ def _sums(weights: csr_array, nodes: Indices, parents: Int64[np.ndarray, " t"], 
     return summed
 
 
-def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Indices:
+def along_a_curve(points: AnyPoints) -> Indices:
     """Return the rows of points in Morton order: what is near in space then mostly lies near in memory too."""
     if not len(points):
         return np.zeros(0, np.int64)
-    low, high = np.quantile(points, (0.01, 0.99), axis=0)
-    return morton_order(np.clip(points, low, high), CURVE_BITS)
+    return morton_order(_without_strays(points), CURVE_BITS)
 
 
-def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.ndarray, "e 2"]:
+def _without_strays(points: AnyPoints) -> AnyPoints:
+    return np.clip(points, *np.quantile(points, BULK_QUANTILES, axis=0))
+
+
+def neighbours(points: AnyPoints, threads: int = 0) -> Int32[np.ndarray, "e 2"]:
     """Return the pairs (a, b), a < b, of which one is among the nearest twelve of the other, and not far; ascending."""
     count = min(NUM_NEIGHBOURS, len(points) - 1)
     if count < 1:
@@ -272,9 +232,7 @@ def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.n
     return edges
 
 
-def _nearest(
-    points: Float[np.ndarray, "n 3"], count: int, threads: int
-) -> tuple[Float64[np.ndarray, "n k"], Int32[np.ndarray, "n k"]]:
+def _nearest(points: AnyPoints, count: int, threads: int) -> tuple[DoubleRows, Int32[np.ndarray, "n k"]]:
     """Return distances and rows of each point's nearest but the first, which mostly is itself, in blocks."""
     tree = cKDTree(points)
     distances, found = np.empty((len(points), count)), np.empty((len(points), count), np.int32)
@@ -285,9 +243,7 @@ def _nearest(
     return distances, found
 
 
-def _keys(
-    found: Int32[np.ndarray, "n k"], distances: Float64[np.ndarray, "n k"], reach: Doubles, begin: int
-) -> Int64[np.ndarray, " p"]:
+def _keys(found: Int32[np.ndarray, "n k"], distances: DoubleRows, reach: Doubles, begin: int) -> OtherIndices:
     """Return a number for each pair of neighbours of some rows, the same whichever of the two it comes from."""
     rows = slice(begin, begin + POINTS_AT_ONCE)
     near = distances[rows] <= reach[rows, None]

@@ -4,19 +4,19 @@ What is in front of something else ends in a jump of depth; where a surface goes
 of pieces tell whether two of them are one surface of different colours, or one thing before another.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Ids, Indices, Int32, Int64, MaskIds
-from ...kernels import SplatArrays, heaviest_labels, render_channels, splat_arrays, topk_contributions
+from ...base.arrays import Arrays, Ids, Indices, MaskIds, OtherIndices, PixelNumbers, Spans
+from ...base.working import Held, Here, Work
+from ...kernels import SplatArrays, heaviest_labels, render_channels, topk_contributions
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
+from ..evidence.columns import Scenery, StillScenery
 from ..learning import drawn
-
-OfPairs = Int64[np.ndarray, " p"]
-OfPieces = Int64[np.ndarray, " k"]
 
 MAX_SIDE_PIXELS = 336  # of a photo: borders need no more
 MAX_VIEWS = 60
@@ -29,22 +29,6 @@ REACH_PIXELS = 8  # from the border to the far end of a slope
 MAX_BEND = 1.0  # between the slopes on both sides, away from the camera: a mug's foot on a table, the corner of a room
 NONE = -1
 
-Labels = MaskIds
-
-
-class ViewBorders(NamedTuple):
-    """Pairs of pieces that are side by side in one view, each once, as in `Borders`.
-
-    pieces, areas: those that it shows, and their pixels.
-    """
-
-    pieces: OfPieces
-    areas: OfPieces
-    front: OfPairs
-    back: OfPairs
-    levels: OfPairs
-    lengths: OfPairs
-
 
 class Borders(NamedTuple):
     """Pairs of pieces that are side by side in some photo.
@@ -53,11 +37,11 @@ class Borders(NamedTuple):
     pixels of it. areas: pixels of each piece.
     """
 
-    front: Int32[np.ndarray, " p"]
-    back: Int32[np.ndarray, " p"]
-    levels: OfPairs
-    lengths: OfPairs
-    areas: Indices
+    front: Ids
+    back: Ids
+    levels: Indices
+    lengths: Indices
+    areas: OtherIndices
 
 
 def some_views(views: Iterable[View]) -> list[View]:
@@ -65,44 +49,56 @@ def some_views(views: Iterable[View]) -> list[View]:
     return sorted(views, key=lambda view: (drawn(view.name), view.name))[:MAX_VIEWS]
 
 
-def borders(gaussians: Gaussians, views: Iterable[View], pieces: Ids, *, threads: int = 0) -> Borders:
-    """Look at views. pieces: of each Gaussian, -1 for none.
+def borders(
+    gaussians: Gaussians, views: Sequence[View], pieces: Ids, *,
+    threads: int = 0, scenery: Scenery | None = None, work: Work | None = None,
+) -> Borders:  # fmt: skip
+    """Look at views. The same bits at any number of threads, and in any order of the views.
 
-    Memory is that of one view, and of the pairs. The same bits at any number of threads.
+    Args:
+        gaussians: the scene.
+        views: of which one is drawn at a time.
+        pieces: of each Gaussian, -1 for none.
+        threads: 0 for all cores.
+        scenery: what the cameras see; None: the Gaussians.
+        work: who looks; None: this process.
     """
-    splats = splat_arrays(gaussians)
-    found = (borders_in(splats, view, pieces, threads=threads) for view in views)
-    return of_all_views(found, int(pieces.max(initial=NONE)) + 1)
-
-
-def borders_in(splats: SplatArrays, view: View, pieces: Ids, *, threads: int = 0) -> ViewBorders:
-    """Return the borders that a view shows. pieces: of each of the splats, -1 for none."""
-    seen, labels, depth = _seen(splats, view.limited(MAX_SIDE_PIXELS), pieces, threads)
-    shown, areas = np.unique(labels[labels >= 0], return_counts=True)
-    pairs, counts = np.empty((2, 0), np.int64), np.empty((0, 2), np.int64)
-    for front, back, jump in _crossings(labels, depth, float(seen.K[0, 0])):
-        within = np.stack([jump < MIN_JUMP, np.ones(len(jump), bool)], axis=1)
-        pairs = np.concatenate([pairs, np.stack([front, back]).astype(np.int64)], axis=1)
-        counts = np.concatenate([counts, within.astype(np.int64)])
-    most = int(shown.max(initial=NONE)) + 1
-    keys, counts = _summed(pairs[0] * most + pairs[1], counts)
-    front, back = np.divmod(keys, max(most, 1))
-    return ViewBorders(shown.astype(np.int64), areas, front, back, counts[:, 0], counts[:, 1])
-
-
-def of_all_views(found: Iterable[ViewBorders], count: int) -> Borders:
-    """Return the borders of `count` pieces in some views together; whole numbers, in any order of the views."""
+    work, count = work or Here(threads), int(pieces.max(initial=NONE)) + 1
+    bordering = Bordering(scenery or StillScenery(gaussians), work.hold({"pieces": pieces}))
     areas = np.zeros(count, np.int64)
     keys, counts = np.empty(0, np.int64), np.empty((0, 2), np.int64)
-    for one in found:
-        areas[one.pieces] += one.areas
-        keys = np.concatenate([keys, one.front * count + one.back])
-        keys, counts = _summed(keys, np.concatenate([counts, np.stack([one.levels, one.lengths], axis=1)]))
+    for held in work(bordering, views, "looking at borders"):
+        one = held.arrays
+        areas[one["pieces"]] += one["areas"]
+        keys = np.concatenate([keys, one["front"] * count + one["back"]])
+        keys, counts = _summed(keys, np.concatenate([counts, one["counts"]]))
     front, back = (side.astype(np.int32) for side in np.divmod(keys, max(count, 1)))
     return Borders(front, back, counts[:, 0], counts[:, 1], areas)
 
 
-def _summed(keys: OfPieces, counts: Int64[np.ndarray, "k 2"]) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True, eq=False)
+class Bordering:
+    """Finds the pieces that a view shows, their areas, and the pairs that are side by side in it: a `Part`."""
+
+    scenery: Scenery
+    pieces: Held
+
+    def __call__(self, view: View, threads: int) -> Arrays:
+        (splats, rows), pieces = self.scenery.visible_splats(view), self.pieces.arrays["pieces"]
+        seen = view.limited(MAX_SIDE_PIXELS)
+        labels, depth = _seen(splats, seen, np.asarray(pieces if rows is None else pieces[rows]), threads)
+        shown, areas = np.unique(labels[labels >= 0], return_counts=True)
+        fronts, backs, jumps = (
+            np.concatenate(both) for both in zip(*_crossings(labels, depth, float(seen.K[0, 0])), strict=True)
+        )
+        most = int(shown.max(initial=0)) + 1
+        counts = np.stack([jumps < MIN_JUMP, np.ones(len(jumps), bool)], axis=1).astype(np.int64)
+        keys, counts = _summed(fronts.astype(np.int64) * most + backs, counts)
+        front, back = np.divmod(keys, most)
+        return {"pieces": shown.astype(np.int64), "areas": areas, "front": front, "back": back, "counts": counts}
+
+
+def _summed(keys: Indices, counts: Spans) -> tuple[np.ndarray, np.ndarray]:
     """Return each key once, its counts together."""
     once, places = np.unique(keys, return_inverse=True)
     total = np.zeros((len(once), counts.shape[1]), np.int64)
@@ -110,19 +106,17 @@ def _summed(keys: OfPieces, counts: Int64[np.ndarray, "k 2"]) -> tuple[np.ndarra
     return once, total
 
 
-def _seen(
-    splats: SplatArrays, view: View, pieces: Ids, threads: int
-) -> tuple[View, Labels, Float32[np.ndarray, "h w"]]:
+def _seen(splats: SplatArrays, view: View, pieces: Ids, threads: int) -> tuple[MaskIds, PixelNumbers]:
     """Return the piece that each pixel shows most of, -1 for none, and its depth."""
     drawing = render_channels(splats, view, np.empty((len(pieces), 0), np.float32), threads=threads)
     most = heaviest_labels(
         topk_contributions(splats, view, GAUSSIANS_PER_PIXEL, threads=threads), pieces, threads=threads
     )
-    return view, np.where(drawing.alpha < MIN_SEEN_OPACITY, NONE, most).astype(np.int32), drawing.depth
+    return np.where(drawing.alpha < MIN_SEEN_OPACITY, NONE, most).astype(np.int32), drawing.depth
 
 
 def _crossings(
-    labels: Labels, depth: Float32[np.ndarray, "h w"], focal: float
+    labels: MaskIds, depth: PixelNumbers, focal: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return the pairs of neighbouring pixels of two pieces, along rows and then along columns.
 
@@ -134,8 +128,8 @@ def _crossings(
         left, right = shown[:, REACH_PIXELS + 1 : -REACH_PIXELS - 2], shown[:, REACH_PIXELS + 2 : -REACH_PIXELS - 1]
         y, x = np.nonzero((left != right) & (left >= 0) & (right >= 0))
         x = x + REACH_PIXELS + 1
-        clear = _clear(shown, y, x)
-        y, x = y[clear], x[clear]
+        wide = (shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1])  # slivers say nothing
+        y, x = y[wide], x[wide]
         before, after = far[y, x - 2], far[y, x + 3]
         slopes = (before - far[y, x - 5]) / 3, (far[y, x + 6] - after) / 3
         prolonged = np.abs(before + 2.5 * slopes[0] - (after - 2.5 * slopes[1]))
@@ -146,8 +140,3 @@ def _crossings(
         y, x, jump, nearer = y[kept], x[kept], jump[kept], (before < after)[kept]
         one, other = shown[y, x], shown[y, x + 1]
         yield np.where(nearer, one, other), np.where(nearer, other, one), jump
-
-
-def _clear(shown: Labels, y: OfPieces, x: OfPieces) -> Bool[np.ndarray, " k"]:
-    """Mark places where both pieces are two pixels wide or more: slivers between others say nothing."""
-    return np.asarray((shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1]))

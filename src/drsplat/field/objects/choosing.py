@@ -4,15 +4,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Float64, Indices, Int32, Int64, Integer, UInt8
+from ...base.arrays import (
+    ByteValues,
+    Doubles,
+    Flags,
+    Ids,
+    Indices,
+    Numbers,
+    OtherIds,
+    OtherIndices,
+    RowIds,
+    WholeNumbers,
+)
 from ...kernels import Forest
-from ..forest import GROUP, PART, THING
-
-NodeIds = Int32[np.ndarray, " t"]
-NodeWorth = Float64[np.ndarray, " t"]
-NodeFlags = Bool[np.ndarray, " t"]
-NodeNumbers = Int64[np.ndarray, " t"]
-AnyNodeNumbers = Integer[np.ndarray, " t"]
+from ..forest import GROUP, PART, THING, owner_nodes
 
 APART_DISTANCE = 0.4  # of embeddings (1: unrelated) of regions that are never one thing
 MAX_GROUP_SHARE = 0.5  # of all weight: what holds more is the room
@@ -24,18 +29,13 @@ NONE = -1
 class Tree(NamedTuple):
     """The nodes that are kept, as in `Objects`. node_of: of each row. sure: how well masks of the photos fit a node."""
 
-    node_of: Int32[np.ndarray, " r"]
-    parents: NodeIds
-    levels: UInt8[np.ndarray, " t"]
-    sure: Float32[np.ndarray, " t"]
+    node_of: OtherIds
+    parents: Ids
+    levels: ByteValues
+    sure: Numbers
 
 
-def choose(forest: Forest, rows: int, smallest: int) -> Tree:
-    """Choose the hierarchy of parts, things and groups in a forest whose first `rows` nodes are rows."""
-    return choose_among(forest, np.arange(rows), smallest)
-
-
-def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: int) -> Tree:
+def choose(forest: Forest, node_of: RowIds, smallest: int) -> Tree:
     """Choose the hierarchy of parts, things and groups in a forest. node_of: a node of each row, -1 for none.
 
     Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
@@ -52,7 +52,7 @@ def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: i
     crowded[_above(parents, things)[small]] = True
     total = float(forest.masses[forest.parents < 0].sum(dtype=np.float64))
     groups = _several_branches(parents, things) & (forest.masses[judged] <= MAX_GROUP_SHARE * total)
-    parts = _parts(parents, np.where(small | _holding(parents, small), NONE, worth), things | small)
+    parts = _parts(parents, np.where(small | holding(parents, parents[small]), NONE, worth), things | small)
     levels = np.full(len(parents), NONE)
     for level, nodes in ((PART, parts), (THING, things | small), (GROUP, groups | crowded)):
         levels[nodes] = level
@@ -60,7 +60,7 @@ def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: i
     return _with_rests(_tree_of(forest, node_of, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
 
 
-def _small_things(parents: NodeNumbers, sizes: NodeIds, fits: NodeWorth, things: NodeFlags) -> NodeFlags:
+def _small_things(parents: Indices, sizes: Ids, fits: Doubles, things: Flags) -> Flags:
     """Return the nodes strictly within things that are small on them, and that masks of the photos still fit.
 
     A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
@@ -74,7 +74,7 @@ def _small_things(parents: NodeNumbers, sizes: NodeIds, fits: NodeWorth, things:
     return np.asarray(small & (taken <= sizes / 2)[thing])
 
 
-def _within(parents: NodeIds, nodes: Indices) -> Indices:
+def _within(parents: WholeNumbers, nodes: OtherIndices) -> OtherIndices:
     """Return the forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
     among = np.zeros(len(parents), bool)
     among[nodes] = True
@@ -82,7 +82,7 @@ def _within(parents: NodeIds, nodes: Indices) -> Indices:
     return np.asarray(number[_above(parents, among)[nodes]])
 
 
-def best_nodes(parents: AnyNodeNumbers, worth: NodeWorth) -> NodeFlags:
+def best_nodes(parents: WholeNumbers, worth: Doubles) -> Flags:
     """Return the set of nodes, none above another, of the largest sum of worth; negative worth is never chosen.
 
     Of sets of equal sums it is the one of larger nodes. Linear: children come before their parents.
@@ -96,20 +96,12 @@ def best_nodes(parents: AnyNodeNumbers, worth: NodeWorth) -> NodeFlags:
     return np.asarray(own & (_above(parents, own) < 0))
 
 
-def _owners(parents: AnyNodeNumbers, nodes: NodeFlags) -> NodeNumbers:
-    """Return for each node itself or the lowest of `nodes` above it, -1 for none."""
-    up = np.append(np.where(nodes, np.arange(len(parents)), parents), NONE)
-    while (up != (further := up[up])).any():
-        up = further
-    return np.asarray(up[:-1])
-
-
-def _above(parents: AnyNodeNumbers, nodes: NodeFlags) -> NodeNumbers:
+def _above(parents: WholeNumbers, nodes: Flags) -> Indices:
     """Return for each node the lowest of `nodes` above it, -1 for none."""
-    return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
+    return np.asarray(np.append(owner_nodes(parents, nodes), NONE)[parents])
 
 
-def pairs_above(parents: AnyNodeNumbers) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
+def pairs_above(parents: WholeNumbers) -> tuple[OtherIndices, OtherIndices]:
     """Return all pairs of a node and one that is above it, or itself."""
     below = above = np.arange(len(parents))
     lower, upper = [below], [above]
@@ -121,7 +113,7 @@ def pairs_above(parents: AnyNodeNumbers) -> tuple[Int64[np.ndarray, " p"], Int64
     return np.concatenate(lower), np.concatenate(upper)
 
 
-def _parts(parents: NodeNumbers, worth: NodeWorth, things: NodeFlags) -> NodeFlags:
+def _parts(parents: Indices, worth: Doubles, things: Flags) -> Flags:
     """Return the best nodes strictly within things, where a thing has two or more."""
     thing = _above(parents, things)
     best = best_nodes(parents, np.where(thing >= 0, worth, NONE))
@@ -129,18 +121,18 @@ def _parts(parents: NodeNumbers, worth: NodeWorth, things: NodeFlags) -> NodeFla
     return np.asarray(best & several[thing])
 
 
-def _holding(parents: NodeNumbers, nodes: NodeFlags) -> NodeFlags:
-    """Return the nodes that have one of `nodes` below them."""
-    holding = np.zeros(len(parents), bool)
-    at = np.unique(parents[nodes])
+def holding(parents: WholeNumbers, nodes: OtherIndices) -> Flags:
+    """Mark nodes that are among some or above one of them; -1 is none."""
+    marked = np.zeros(len(parents), bool)
+    at = np.unique(nodes)
     while len(at := at[at >= 0]):
-        at = at[~holding[at]]
-        holding[at] = True
+        at = at[~marked[at]]
+        marked[at] = True
         at = np.unique(parents[at])
-    return holding
+    return marked
 
 
-def _several_branches(parents: NodeNumbers, things: NodeFlags) -> NodeFlags:
+def _several_branches(parents: Indices, things: Flags) -> Flags:
     """Return the nodes with things below two or more of their children."""
     holds = things.tolist()
     branches = [0] * len(holds)
@@ -151,19 +143,17 @@ def _several_branches(parents: NodeNumbers, things: NodeFlags) -> NodeFlags:
     return np.array(branches) > 1
 
 
-def _tree_of(
-    forest: Forest, node_of: Integer[np.ndarray, " r"], nodes: Indices, levels: UInt8[np.ndarray, " n"]
-) -> Tree:
+def _tree_of(forest: Forest, node_of: RowIds, nodes: Indices, levels: ByteValues) -> Tree:
     """Return the tree of the chosen nodes alone, in their order."""
     among = np.zeros(len(forest.parents), bool)
     among[nodes] = True
     number = np.append(np.cumsum(among) - 1, NONE)
-    lowest = number[np.append(_owners(forest.parents, among), NONE)[node_of]]
+    lowest = number[np.append(owner_nodes(forest.parents, among), NONE)[node_of]]
     parents = _within(forest.parents, nodes)
     return Tree(lowest.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])
 
 
-def _with_rests(tree: Tree, crowded: NodeFlags) -> Tree:
+def _with_rests(tree: Tree, crowded: Flags) -> Tree:
     """Make each crowded node a group; a new thing before it gets the rows that are in none of its things."""
     number = np.append(np.arange(len(crowded)) + np.cumsum(crowded), NONE)  # -1 stays -1
     rest = number - np.append(crowded, False)

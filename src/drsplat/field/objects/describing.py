@@ -15,7 +15,22 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Arrays, Float32, Float64, Int32, Int64, Integer, Vector3
+from ...base.arrays import (
+    Arrays,
+    Doubles,
+    Embeddings,
+    Float32,
+    Float64,
+    FloatRows,
+    Ids,
+    Indices,
+    Int64,
+    OtherEmbeddings,
+    OtherIds,
+    OtherIndices,
+    RowIds,
+    Vector3,
+)
 from ...base.working import HERE, Held, Here, Work
 from ...errors import InputError
 from ...kernels import weighted_rows
@@ -26,12 +41,10 @@ from .. import LanguageField
 from ..evidence.aggregation.entries import entry_rows
 from ..evidence.evidence import Evidence
 from ..evidence.pieces import HeldRows
-from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
+from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, by_number, check_forest
 from .choosing import Tree, pairs_above
 
-Entries = Int64[np.ndarray, " e"]
 Starts = Int64[np.ndarray, " T1"]
-NodeOfRow = Int32[np.ndarray, " R"]
 
 ROWS_AT_ONCE, NODES_AT_ONCE = 1 << 18, 128  # of nodes that are described
 ROWS_SUMMED_AT_ONCE = 1 << 16
@@ -60,7 +73,7 @@ def describe(
     if tree.node_of.shape != (len(field),):
         raise InputError(f"node_of: expected one node for each of {len(field)} rows, got {tree.node_of.shape}")
     check_forest(tree.node_of, tree.parents, tree.levels)
-    inside, (order, begins) = _inside(tree.parents), _by_node(tree.node_of, len(tree.parents))
+    inside, (order, begins) = _inside(tree.parents), by_number(tree.node_of, len(tree.parents))
     counts = (inside @ np.diff(begins)).astype(np.int64)
     if not counts.all():
         raise InputError(f"node {counts.argmin()} has no rows, neither of its own nor below it")
@@ -78,8 +91,9 @@ def describe(
     starts: dict[str, Any] = {
         name: np.append(0, np.cumsum(told.pop(name))) for name in ("mask_starts", "descriptor_starts")
     }
-    masses = _masses(field, gaussians, inside, tree.node_of)
-    return Objects(**tree._asdict(), masses=masses, **told, **starts)
+    kept = tree.node_of >= 0
+    own = np.bincount(tree.node_of[kept], gaussians.opacities[field.gaussian_ids[kept]], len(counts))
+    return Objects(**tree._asdict(), masses=np.asarray(inside @ own, np.float32), **told, **starts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,21 +108,24 @@ class Describing:
     up: Vector3 | None
     origin: Vector3
 
-    def __call__(self, nodes: Int64[np.ndarray, " k"], threads: int) -> Arrays:
+    def __call__(self, nodes: Indices, threads: int) -> Arrays:
         held = self.scene.arrays
         begins, embeddings, views = held["begins"], held["embeddings"], held["views"]
         weights = _csr(held["starts"], held["columns"], held["weights"], self.columns)[nodes]
         inside = _csr(held["inside_starts"], held["inside"], np.ones(len(held["inside"])), len(begins) - 1)[nodes]
         boxes = self._boxes(*_rows(inside, held["order"], begins), threads)
-        starts, masks, shares = _masks(weights)
+        masks = heaviest(weights, MAX_MASKS_PER_NODE)
+        totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
+        shares = masks.data / np.repeat(totals, np.diff(masks.indptr))
         descriptor_starts, vectors = descriptors(_exclusive(weights, held["totals"]), embeddings, threads=threads)
         return {
             "centers": boxes.center, "axes": boxes.axes, "extents": boxes.extent,
-            "num_views": _num_views(weights, views), "mask_starts": np.diff(starts), "masks": masks, "shares": shares,
+            "num_views": _num_views(weights, views), "mask_starts": np.diff(masks.indptr),
+            "masks": masks.indices.astype(np.int32), "shares": shares.astype(np.float32),
             "descriptor_starts": np.diff(descriptor_starts), "descriptors": vectors,
         }  # fmt: skip
 
-    def _boxes(self, starts: Int64[np.ndarray, " k1"], ids: Int64[np.ndarray, " e"], threads: int) -> Boxes:
+    def _boxes(self, starts: Int64[np.ndarray, " k1"], ids: Indices, threads: int) -> Boxes:
         """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can."""
         means, quats, scales, opacities = (self.scene.arrays[name] for name in SHAPES)
         colours = np.broadcast_to(np.float32(0), (len(means), 1, 3))
@@ -127,20 +144,19 @@ class Summing:
     weights: HeldRows
     scene: Held
 
-    def __call__(self, nodes: Int64[np.ndarray, " k"], threads: int) -> Arrays:
+    def __call__(self, nodes: Indices, threads: int) -> Arrays:
         order, begins = self.scene.arrays["order"], self.scene.arrays["begins"]
         rows = np.concatenate([order[:0], *(order[begins[node] : begins[node + 1]] for node in nodes.tolist())])
-        place = np.empty(len(rows), np.int32)
-        place[np.argsort(rows)] = np.arange(len(rows), dtype=np.int32)  # each node's rows stay in their order
         starts = np.append(0, np.cumsum(np.diff(begins)[nodes])).astype(np.int32)
-        own = _csr(starts, place, np.ones(len(rows), np.float32), len(rows))
-        summed = csr_array(own @ self.weights.rows(np.sort(rows)))
+        own = _csr(starts, np.arange(len(rows), dtype=np.int32), np.ones(len(rows), np.float32), len(rows))
+        summed = csr_array(own @ self.weights.rows(rows))
         return {"starts": np.diff(summed.indptr), "columns": summed.indices, "weights": summed.data}
 
 
 def node_weights(evidence: Evidence, tree: Tree) -> csr_array:
     """Return (T, M) the summed weight of all rows of a node, those below it included, in each mask."""
-    return _weights(evidence, tree.parents, tree.node_of)
+    rows, by_node = HeldRows.of(evidence.weights, HERE), by_number(tree.node_of, len(tree.parents))
+    return _summed(rows, _inside(tree.parents), by_node, HERE)
 
 
 def joined(before: LanguageField, after: LanguageField, gaussians: Gaussians, *, threads: int = 0) -> Objects:
@@ -155,7 +171,7 @@ def joined(before: LanguageField, after: LanguageField, gaussians: Gaussians, *,
     return replace(describe(after, gaussians, tree, threads=threads), votes=JOINED if old.votes else "")
 
 
-def _kept_nodes(before: LanguageField, after: LanguageField) -> NodeOfRow:
+def _kept_nodes(before: LanguageField, after: LanguageField) -> Ids:
     rows = before.rows_of(after.gaussian_ids)
     assert before.objects is not None
     return np.where(rows < 0, np.int32(-1), before.objects.node_of[rows])
@@ -171,28 +187,16 @@ def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 
     if whole.objects is None or some.evidence is None:
         raise InputError("expected a field with objects, and one with evidence")
     objects, node_of = whole.objects, _kept_nodes(whole, some)
-    weights = _weights(some.evidence, objects.parents, node_of)
+    weights = node_weights(some.evidence, Tree(node_of, objects.parents, objects.levels, objects.sure))
     totals = HeldRows.of(some.evidence.weights, HERE).totals()
     starts, vectors = descriptors(_exclusive(weights, totals), some.evidence.embeddings, threads=threads)
     return replace(objects, node_of=node_of, descriptor_starts=starts, descriptors=vectors)
 
 
-def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
+def _inside(parents: Ids) -> csr_array:
     """Return (T, T): entry (t, s) is 1 where node s is t, or below it."""
     columns, rows = pairs_above(parents)
     return csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(parents),) * 2)
-
-
-def _weights(evidence: Evidence, parents: Int32[np.ndarray, " T"], node_of: NodeOfRow) -> csr_array:
-    """Return (T, M): the summed weight of all rows of a node in each mask."""
-    return _summed(HeldRows.of(evidence.weights, HERE), _inside(parents), _by_node(node_of, len(parents)), HERE)
-
-
-def _by_node(node_of: Int32[np.ndarray, " R"], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows that are in a node, in the order of nodes, and where those of each begin."""
-    order = np.argsort(node_of, kind="stable")
-    begins = np.searchsorted(node_of[order], np.arange(count + 1))
-    return order[begins[0] :], begins - begins[0]
 
 
 def _summed(rows: HeldRows, inside: csr_array, by_node: tuple[np.ndarray, np.ndarray], work: Work) -> csr_array:
@@ -216,7 +220,7 @@ def _csr(starts: np.ndarray, columns: np.ndarray, data: np.ndarray, count: int) 
     return csr_array((data, columns, starts), shape=(len(starts) - 1, count))
 
 
-def _runs(counts: Integer[np.ndarray, " T"], most: int, many: int) -> list[np.ndarray]:
+def _runs(counts: RowIds, most: int, many: int) -> list[np.ndarray]:
     """Cut the numbers of nodes into runs that have up to `most` rows, or one node, and up to `many` nodes."""
     ends, begins = np.cumsum(counts), [0]
     while begins[-1] < len(counts):
@@ -226,7 +230,7 @@ def _runs(counts: Integer[np.ndarray, " T"], most: int, many: int) -> list[np.nd
     return [np.arange(begin, end) for begin, end in pairwise(begins)] or [np.arange(0)]
 
 
-def _rows(inside: csr_array, order: Integer[np.ndarray, " R"], begins: Starts) -> tuple[Starts, Entries]:
+def _rows(inside: csr_array, order: RowIds, begins: Starts) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of some nodes and of those below them, in CSR form (starts, rows).
 
     order, begins: all rows in the order of their nodes, and where those of each begin.
@@ -237,42 +241,23 @@ def _rows(inside: csr_array, order: Integer[np.ndarray, " R"], begins: Starts) -
     return np.append(0, np.cumsum(inside @ np.diff(begins))).astype(np.int64), rows
 
 
-def _masses(
-    field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: NodeOfRow
-) -> Float32[np.ndarray, " T"]:
-    kept = node_of >= 0
-    opacities = gaussians.opacities[field.gaussian_ids[kept]]
-    own = np.bincount(node_of[kept], opacities, inside.shape[0])
-    return np.asarray(inside @ own, np.float32)
-
-
-def _num_views(weights: csr_array, views: Int32[np.ndarray, " M"]) -> Int32[np.ndarray, " T"]:
+def _num_views(weights: csr_array, views: Ids) -> OtherIds:
     """Return the photos that show more than a sliver of each node."""
-    count = int(views.max(initial=-1)) + 1
-    of_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
-    shown = csr_array(weights @ of_view)
+    shown = shown_in_photos(weights, views)
     nodes = entry_rows(shown)
     most = np.zeros(shown.shape[0])
     np.maximum.at(most, nodes, shown.data)
     return np.bincount(nodes[shown.data > MIN_SHOWN_SHARE * most[nodes]], minlength=shown.shape[0]).astype(np.int32)
 
 
-def shown_in_photos(weights: csr_array, evidence: Evidence) -> csr_array:
-    """Return (T, V) the weight of each node in each photo. weights: (T, M) in each mask."""
-    views, count = evidence.masks.views, len(evidence.masks.view_names)
-    of_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
+def shown_in_photos(weights: csr_array, views: Ids) -> csr_array:
+    """Return (T, V) the weight of each node in each photo. weights: (T, M) in each mask. views: photo of each mask."""
+    places = np.arange(len(views)), views
+    of_view = csr_array((np.ones(len(views)), places), shape=(len(views), int(views.max(initial=-1)) + 1))
     return csr_array(weights @ of_view)
 
 
-def _masks(weights: csr_array) -> tuple[Starts, Int32[np.ndarray, " E"], Float32[np.ndarray, " E"]]:
-    """Return each node's masks of the largest shares of its weight, largest first, in CSR form."""
-    kept = heaviest(weights, MAX_MASKS_PER_NODE)
-    totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
-    shares = kept.data / np.repeat(totals, np.diff(kept.indptr))
-    return kept.indptr.astype(np.int64), kept.indices.astype(np.int32), shares.astype(np.float32)
-
-
-def _exclusive(weights: csr_array, totals: Float64[np.ndarray, " M"]) -> csr_array:
+def _exclusive(weights: csr_array, totals: Doubles) -> csr_array:
     """Return R_tj q_tj: the weight of node t in mask j, times the share of the mask's weight that lies in the node.
 
     A mask of the whole table says little of the mug on it. totals: the weight of each mask.
@@ -281,9 +266,7 @@ def _exclusive(weights: csr_array, totals: Float64[np.ndarray, " M"]) -> csr_arr
     return csr_array((exclusive, weights.indices, weights.indptr), shape=weights.shape)
 
 
-def descriptors(
-    weights: csr_array, embeddings: Float32[np.ndarray, "M D"], *, threads: int = 0
-) -> tuple[Starts, Float32[np.ndarray, "P D"]]:
+def descriptors(weights: csr_array, embeddings: Embeddings, *, threads: int = 0) -> tuple[Starts, OtherEmbeddings]:
     """Return up to four unit vectors for each row of `weights` (T, M), as row starts and vectors, the heaviest first.
 
     The first centre is the weighted mean; a further one starts from the mask that is served worst, weight times
@@ -293,12 +276,21 @@ def descriptors(
     labels = np.zeros(clusters.weights.nnz, np.int64)
     part = np.arange(len(labels))  # entries of rows that may need more
     for count in range(1, MAX_DESCRIPTORS_PER_NODE):
-        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(axis=1, initial=-1))]
+        cosines = clusters.cosines(labels, part, count).max(axis=1, initial=-1).astype(np.float64)
+        served = np.where(cosines < ALIKE_COSINE, clusters.weights.data[part] * (1 - cosines), 0)
+        rows, most = clusters.rows[part], np.zeros(weights.shape[0])
+        np.maximum.at(most, rows, served)
+        (worst,) = np.nonzero((served > 0) & (served == most[rows]))  # among those that are unlike all centres
+        far = part[worst[np.diff(rows[worst], prepend=-1) > 0]]
         needing = np.zeros(weights.shape[0], bool)
         needing[clusters.rows[far]] = True
         part = part[needing[clusters.rows[part]]]
         labels[far] = count
-        clusters.settle(labels, part, count + 1)
+        for _ in range(LLOYD_ROUNDS):  # move entries to the nearest centre, the first of equal ones
+            nearest = clusters.cosines(labels, part, count + 1).argmax(axis=1)
+            if (nearest == labels[part]).all():
+                break
+            labels[part] = nearest
     return clusters.centers(labels)
 
 
@@ -310,33 +302,14 @@ class _Clusters:
     """
 
     weights: csr_array
-    embeddings: Float32[np.ndarray, "M D"]
+    embeddings: Embeddings
     threads: int
 
     @cached_property
-    def rows(self) -> Entries:
+    def rows(self) -> OtherIndices:
         return entry_rows(self.weights)
 
-    def settle(self, labels: Entries, part: Int64[np.ndarray, " p"], count: int) -> None:
-        """Move the entries of `part` to the cluster of the nearest centre, the first of equal ones, in some rounds."""
-        for _ in range(LLOYD_ROUNDS):
-            nearest = self.cosines(labels, part, count).argmax(axis=1)
-            if (nearest == labels[part]).all():
-                break
-            labels[part] = nearest
-
-    def worst_served(
-        self, part: Int64[np.ndarray, " p"], cosines: Float32[np.ndarray, " p"]
-    ) -> Int64[np.ndarray, " t"]:
-        """Return the place of each row's worst served entry of `part`, among those that are unlike all centres."""
-        served = np.where(cosines < ALIKE_COSINE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
-        rows = self.rows[part]
-        most = np.zeros(self.weights.shape[0])
-        np.maximum.at(most, rows, served)
-        (worst,) = np.nonzero((served > 0) & (served == most[rows]))
-        return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
-
-    def means(self, labels: Entries) -> Float32[np.ndarray, "T k D"]:
+    def means(self, labels: OtherIndices) -> Float32[np.ndarray, "T k D"]:
         """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
         clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         order = np.argsort(clusters, kind="stable")
@@ -348,7 +321,7 @@ class _Clusters:
         )
         return means.reshape(-1, MAX_DESCRIPTORS_PER_NODE, means.shape[1])
 
-    def cosines(self, labels: Entries, part: Int64[np.ndarray, " p"], count: int) -> Float32[np.ndarray, "p k"]:
+    def cosines(self, labels: OtherIndices, part: Indices, count: int) -> FloatRows:
         """Return the cosines of the entries of `part` with the first `count` centres of their rows, -1 with empty ones.
 
         BLAS is avoided: its bits depend on the number of its threads.
@@ -364,7 +337,7 @@ class _Clusters:
                 cosines[begin : begin + ENTRIES_AT_ONCE, k] = np.where(filled[rows, k], row_cosines, -1)
         return cosines
 
-    def centers(self, labels: Entries) -> tuple[Starts, Float32[np.ndarray, "P D"]]:
+    def centers(self, labels: OtherIndices) -> tuple[Starts, Embeddings]:
         """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
         means = self.means(labels)
         shape = means.shape[:2]
@@ -380,18 +353,7 @@ class _Clusters:
 def heaviest(matrix: csr_array, most: int) -> csr_array:
     """Return up to `most` entries of each row, the heaviest first, of equal ones the first column first."""
     rows = entry_rows(matrix)
-    (heavy,) = np.nonzero(matrix.data >= _bars(matrix, most)[rows])  # and more, where some are equal
-    order = heavy[np.lexsort((matrix.indices[heavy], -matrix.data[heavy], rows[heavy]))]
-    begins = np.searchsorted(rows[order], np.arange(matrix.shape[0]))
-    kept = order[np.arange(len(order)) - begins[rows[order]] < most]
+    order = np.lexsort((matrix.indices, -matrix.data, rows))
+    kept = order[np.arange(len(order)) - matrix.indptr[rows] < most]
     starts = np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
     return csr_array((matrix.data[kept], matrix.indices[kept], starts), shape=matrix.shape)
-
-
-def _bars(matrix: csr_array, most: int) -> Float64[np.ndarray, " r"]:
-    """Return the `most`-th largest weight of each row, -inf where it has no more than that."""
-    bars = np.full(matrix.shape[0], -np.inf)
-    for row in np.flatnonzero(np.diff(matrix.indptr) > most):
-        data = matrix.data[matrix.indptr[row] : matrix.indptr[row + 1]]
-        bars[row] = np.partition(data, len(data) - most)[len(data) - most]
-    return bars

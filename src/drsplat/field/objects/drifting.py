@@ -5,12 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float64, Int64, Integer
+from ...base.arrays import Doubles, Indices, RowIds
 from ...errors import InputError
 from .. import LanguageField
 from ..evidence.aggregation.entries import entry_rows
 
-OfDrifting = Int64[np.ndarray, " g"]
 CLEAR_SHARE = 0.8  # of a Gaussian's weight in masks of one object
 
 
@@ -22,10 +21,10 @@ class Drifting(NamedTuple):
     is of none.
     """
 
-    gaussian_ids: OfDrifting
-    shares: Float64[np.ndarray, " g"]
-    first: OfDrifting
-    last: OfDrifting
+    gaussian_ids: Indices
+    shares: Doubles
+    first: Indices
+    last: Indices
 
 
 def drifting(field: LanguageField) -> Drifting:
@@ -43,20 +42,26 @@ def drifting(field: LanguageField) -> Drifting:
     weights, masks = field.evidence.weights, field.evidence.masks
     owner = _owners(weights, field.objects.thing_of())
     stamps, when = np.unique(field.times, return_inverse=True)
-    rows = entry_rows(weights)
-    at = rows * len(stamps) + when[masks.views[weights.indices]]
-    return _judged(field, _sums(at, owner[weights.indices] + 1, weights.data), len(stamps))
+    at = entry_rows(weights) * len(stamps) + when[masks.views[weights.indices]]  # row times number of times plus time
+    at, thing, weight = _sums(at, owner[weights.indices] + 1, weights.data)
+    rows, count = at // len(stamps), len(field)
+    totals = np.maximum(np.bincount(rows, weight, minlength=count), np.finfo(np.float64).tiny)
+    known, of = np.unique(at, return_inverse=True)
+    heaviest = np.zeros(len(known))
+    np.maximum.at(heaviest, of, weight)
+    clear = np.bincount(known // len(stamps), heaviest, minlength=count) / totals
+    of_rows, _, summed = _sums(rows, thing, weight)
+    overall = np.zeros(count)
+    np.maximum.at(overall, of_rows, summed)
+    shares = overall / totals
+    (found,) = np.nonzero((clear >= CLEAR_SHARE) & (shares < CLEAR_SHARE))
+    strongest = thing[np.lexsort((weight, at))][np.cumsum(np.bincount(of)) - 1]  # of each time
+    begin = np.searchsorted(known, found * len(stamps))
+    end = np.searchsorted(known, (found + 1) * len(stamps)) - 1
+    return Drifting(field.gaussian_ids[found].astype(np.int64), shares[found], strongest[begin] - 1, strongest[end] - 1)
 
 
-class _Sums(NamedTuple):
-    """Weights of Gaussians in objects (number + 1) at times; `at` is row times number of times plus time."""
-
-    at: Int64[np.ndarray, " e"]
-    thing: Int64[np.ndarray, " e"]
-    weight: Float64[np.ndarray, " e"]
-
-
-def _owners(weights: csr_array, thing_of: Integer[np.ndarray, " r"]) -> Int64[np.ndarray, " m"]:
+def _owners(weights: csr_array, thing_of: RowIds) -> Indices:
     """Return the object that has most of each mask's weight, -1 for none."""
     rows = np.repeat(thing_of.astype(np.int64) + 1, np.diff(weights.indptr))
     width = int(rows.max(initial=0)) + 1
@@ -68,25 +73,8 @@ def _owners(weights: csr_array, thing_of: Integer[np.ndarray, " r"]) -> Int64[np
     return best
 
 
-def _sums(at: Int64[np.ndarray, " w"], thing: Int64[np.ndarray, " w"], weight: np.ndarray) -> _Sums:
+def _sums(at: Indices, thing: Indices, weight: np.ndarray) -> tuple[Indices, Indices, Doubles]:
+    """Return the sum of weights of each pair of numbers, pairs ascending."""
     width = int(thing.max(initial=0)) + 1
     keys, place = np.unique(at * width + thing, return_inverse=True)
-    return _Sums(keys // width, keys % width, np.bincount(place, weight))
-
-
-def _judged(field: LanguageField, sums: _Sums, num_times: int) -> Drifting:
-    rows, width = sums.at // num_times, int(sums.thing.max(initial=0)) + 1
-    totals = np.maximum(np.bincount(rows, sums.weight, minlength=len(field)), np.finfo(np.float64).tiny)
-    known, of = np.unique(sums.at, return_inverse=True)
-    heaviest = np.zeros(len(known))
-    np.maximum.at(heaviest, of, sums.weight)
-    clear = np.bincount(known // num_times, heaviest, minlength=len(field)) / totals
-    pairs, place = np.unique(rows * width + sums.thing, return_inverse=True)
-    overall = np.zeros(len(field))
-    np.maximum.at(overall, pairs // width, np.bincount(place, sums.weight))
-    shares = overall / totals
-    (found,) = np.nonzero((clear >= CLEAR_SHARE) & (shares < CLEAR_SHARE))
-    strongest = sums.thing[np.lexsort((sums.weight, sums.at))][np.cumsum(np.bincount(of)) - 1]  # of each time
-    begin = np.searchsorted(known, found * num_times)
-    end = np.searchsorted(known, (found + 1) * num_times) - 1
-    return Drifting(field.gaussian_ids[found].astype(np.int64), shares[found], strongest[begin] - 1, strongest[end] - 1)
+    return keys // width, keys % width, np.bincount(place, weight)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Arrays, Bool, Float32, Ids, Int32, UInt32
+from ...base.arrays import Arrays, Flags, Float32, Ids, UnsignedIds, Vectors
 from ...base.contents import release
 from ...base.working import HERE, Held, Here, Work
 from ...errors import InputError
@@ -26,19 +26,18 @@ from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from .. import LanguageField
 from ..evidence.aggregation.entries import column_counts, row_chunks
+from ..evidence.columns import Scenery
 from ..evidence.evidence import Evidence
 from ..evidence.pieces import HeldRows
-from ..forest import THING, Objects
+from ..forest import THING, Objects, owner_nodes
 from ..learning import drawn
 from .block_nodes import Block, Nodes, along_a_curve, in_blocks, neighbours
-from .borders import Borders, borders, some_views
-from .choosing import NONE, Tree, _owners, choose, choose_among
+from .borders import borders, some_views
+from .choosing import NONE, Tree, choose
 from .describing import describe
 from .joining import join, with_joined
 from .uniting import Masses, united
 
-RowGaussians = UInt32[np.ndarray, " r"]
-Places = Float32[np.ndarray, "r 3"]
 MERGE_THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
 SOFT_SIGHT_SHARE = 0.55  # of what a photo shows of a Gaussian on average
 FAR_PHOTO_SHARE = 1.2e-4  # of the weight of a photo
@@ -88,13 +87,14 @@ class Division(NamedTuple):
 
 
 def find_objects(
-    field: LanguageField, gaussians: Gaussians, *, views: Sequence[View] | None = None, threads: int = 0
-) -> Objects:
+    field: LanguageField, gaussians: Gaussians, *, views: Sequence[View] | None = None,
+    threads: int = 0, scenery: Scenery | None = None, work: Work | None = None,
+) -> Objects:  # fmt: skip
     """Find the things of a scene, with their parts and groups, in the evidence that its field keeps.
 
     views: whose cameras tell which pieces are one thing (`joining`); None: those that the field keeps. No encoder is
     needed. Time is linear in the weights, and memory up to MAX_WEIGHTS; a scene of more is looked at in blocks
-    (`divided`). The same bits at any number of threads.
+    (`divided`). The same bits at any number of threads. scenery, work: see `find_tree`.
 
     Raises: InputError: the field keeps no evidence. MismatchError: it is of another scene.
     Source: agglomeration by agreement over views as in Trace3D and SAI3D; see docs/grouping.md.
@@ -102,14 +102,15 @@ def find_objects(
     field.check_scene(gaussians)
     if field.evidence is None:
         raise InputError("objects are found in the evidence, and this field was saved without: register again")
-    cameras = cameras_of(field) if views is None else views
-    tree = find_tree(field.evidence, gaussians, field.gaussian_ids, cameras, threads=threads)
-    return describe(field, gaussians, tree, threads=threads)
+    cameras, work = cameras_of(field) if views is None else views, work or Here(threads)
+    tree = find_tree(field.evidence, gaussians, field.gaussian_ids, cameras, scenery=scenery, work=work)
+    return describe(field, gaussians, tree, work=work)
 
 
 def find_tree(
-    evidence: Evidence, gaussians: Gaussians, ids: RowGaussians, views: Sequence[View], *, threads: int = 0
-) -> Tree:
+    evidence: Evidence, gaussians: Gaussians, ids: UnsignedIds, views: Sequence[View], *,
+    threads: int = 0, scenery: Scenery | None = None, work: Work | None = None,
+) -> Tree:  # fmt: skip
     """Return the parts, things and groups of a scene. Where masks have equal embeddings, W alone decides.
 
     Args:
@@ -118,9 +119,12 @@ def find_tree(
         ids: the Gaussians of the rows.
         views: whose cameras tell which pieces are one thing; none: pieces stay as they are.
         threads: 0 for all cores; the same bits at any number.
+        scenery: what the cameras see; None: the Gaussians.
+        work: who does it; None: this process.
     """
-    found = tree_of(evidence, gaussians.means[ids], Here(threads))
-    return of_pieces(found.tree, gaussians, ids, seen_by(found, views), threads=threads)
+    work = work or Here(threads)
+    found = tree_of(evidence, np.asarray(gaussians.means[ids]), work)
+    return of_pieces(found.tree, gaussians, ids, seen_by(found, views), scenery=scenery, work=work)
 
 
 class Found(NamedTuple):
@@ -136,22 +140,22 @@ def seen_by(found: Found, views: Sequence[View]) -> list[View]:
     return list({view.name: view for some in chosen for view in some}.values()) if chosen else some_views(views)
 
 
-def tree_of(evidence: Evidence, points: Places, work: Work = HERE) -> Found:
+def tree_of(evidence: Evidence, points: Vectors, work: Work = HERE) -> Found:
     """Find the parts, things and groups that masks tell of; what they are pieces of is not yet known.
 
     points: centres of the rows' Gaussians. work: who finds the nodes of blocks, of which there are some where the
     evidence has more than MAX_WEIGHTS.
     """
     if evidence.weights.nnz <= MAX_WEIGHTS:
-        return Found(choose(grow(evidence, points, threads=work.threads), len(points), MIN_GAUSSIANS), [])
+        return Found(choose(grow(evidence, points, threads=work.threads), np.arange(len(points)), MIN_GAUSSIANS), [])
     division, names = divided(evidence, points, work), np.array(evidence.masks.view_names, object)
     parts = work(division.nodes, division.blocks, "finding objects")
     found = united(parts, division.blocks, division.masses, work)
     seeing = [set(names[part.arrays["views"]]) for part in parts]
-    return Found(choose_among(found.forest, found.node_of, MIN_GAUSSIANS), seeing)
+    return Found(choose(found.forest, found.node_of, MIN_GAUSSIANS), seeing)
 
 
-def divided(evidence: Evidence, points: Places, work: Work = HERE) -> Division:
+def divided(evidence: Evidence, points: Vectors, work: Work = HERE) -> Division:
     """Cut a scene in blocks. Of more weights than WEIGHTS_PER_ROW, those of some views are looked at."""
     masks = evidence.masks
     kept = ~views_beyond(evidence, max(MAX_WEIGHTS, WEIGHTS_PER_ROW * len(evidence)))[masks.views]
@@ -168,27 +172,19 @@ def divided(evidence: Evidence, points: Places, work: Work = HERE) -> Division:
     return Division(nodes, in_blocks(points, counts, BLOCK_WEIGHTS), Masses(sums, masses, masks.views, rule.far))
 
 
-def of_pieces(tree: Tree, gaussians: Gaussians, ids: RowGaussians, views: Sequence[View], *, threads: int = 0) -> Tree:
-    """Return the tree with pieces joined to the things that they are of. ids: the Gaussians of its rows."""
+def of_pieces(
+    tree: Tree, gaussians: Gaussians, ids: UnsignedIds, views: Sequence[View], *,
+    scenery: Scenery | None = None, work: Work = HERE,
+) -> Tree:  # fmt: skip
+    """Return the tree with pieces joined to the things that photos show them as; arguments as of `find_tree`."""
     if not views:
         return tree
-    pieces = pieces_of(tree, ids, len(gaussians))
-    return with_pieces_joined(tree, borders(gaussians, views, pieces, threads=threads))
-
-
-def pieces_of(tree: Tree, ids: RowGaussians, count: int) -> Ids:
-    """Return the thing of each of `count` Gaussians, numbered in the order of nodes, -1 for none."""
-    (things,) = np.nonzero(tree.levels == THING)
-    owners = _owners(tree.parents, tree.levels == THING)
-    numbers = np.append(np.where(owners >= 0, np.searchsorted(things, owners), NONE), NONE)
-    pieces = np.full(count, NONE, np.int32)
+    is_thing = tree.levels == THING
+    numbers = np.append(np.cumsum(is_thing) - 1, NONE)[np.append(owner_nodes(tree.parents, is_thing), NONE)]
+    pieces = np.full(len(gaussians), NONE, np.int32)  # the thing of each Gaussian, in the order of nodes
     pieces[ids] = numbers[tree.node_of]
-    return pieces
-
-
-def with_pieces_joined(tree: Tree, found: Borders, work: Work = HERE) -> Tree:
-    """Return the tree with what photos show as one joined. found: the borders of its things."""
-    return with_joined(tree, join(found, tree.sure[tree.levels == THING], work))
+    found = borders(gaussians, views, pieces, scenery=scenery, work=work)
+    return with_joined(tree, join(found, tree.sure[is_thing], work))
 
 
 def cameras_of(field: LanguageField) -> list[View]:
@@ -198,7 +194,7 @@ def cameras_of(field: LanguageField) -> list[View]:
     return field.growth.provenance.views(field.evidence.masks.view_names)
 
 
-def views_beyond(evidence: Evidence, most: int) -> Bool[np.ndarray, " v"]:
+def views_beyond(evidence: Evidence, most: int) -> Flags:
     """Mark the views that are left out where at most so many weights are looked at; a hash of names draws the others.
 
     One view is always left.
@@ -212,7 +208,7 @@ def views_beyond(evidence: Evidence, most: int) -> Bool[np.ndarray, " v"]:
     return gone
 
 
-def grow(evidence: Evidence, means: Places, *, threads: int = 0) -> Forest:
+def grow(evidence: Evidence, means: Vectors, *, threads: int = 0) -> Forest:
     """Grow the forest of merges over the rows of the evidence. means: the Gaussians' centres."""
     order = along_a_curve(means)
     weights, views, embeddings = _by_view(evidence)
@@ -244,7 +240,7 @@ def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
     return weights, views, embeddings
 
 
-def _sights(weights: csr_array, views: Int32[np.ndarray, " m"]) -> int:
+def _sights(weights: csr_array, views: Ids) -> int:
     """Count in how many views a row has weight, of all rows together."""
     seen = views[weights.indices]
     first = np.ones(len(seen), bool)

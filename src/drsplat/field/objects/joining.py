@@ -9,7 +9,7 @@ something else nobody knows how it goes on, and that counts for neither side. Bo
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, pairwise
 from math import fsum
@@ -18,15 +18,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Arrays, Bool, Doubles, Flags, Float64, Int64, Numbers
+from ...base.arrays import Arrays, Bool, Doubles, Flags, Float64, Indices, Numbers, OtherFlags
 from ...base.working import HERE, Held, Work
-from ..forest import PART, THING
+from ..forest import PART, THING, owner_nodes
 from .borders import Borders
-from .choosing import NONE, Tree, _above, _owners
+from .choosing import NONE, Tree, _above
 
-Members = Int64[np.ndarray, " k"]
 PixelSums = Float64[np.ndarray, " *s"]
-Changes = Int64[np.ndarray, " c"]
 
 MIN_RELIEF, MIN_GAIN = 0.7, 0.1  # of a thing, and over the mean of its pieces by area
 WHOLE_SURENESS = 0.6  # of what single masks hold as a whole, which is not joined
@@ -49,21 +47,22 @@ class Outlines:
     """Pieces and the borders between all of them, in pixels over all photos; whole numbers, so that sums are exact.
 
     areas: of each piece. front: (n, n), where the piece of a row is in front of that of a column, depth jumping between
-    them. back: its transpose. level: (n, n), symmetric, where depth goes on.
+    them. back: its transpose. level: (n, n), symmetric, where depth goes on. sure: how well single masks fit each.
     """
 
     areas: Doubles
     front: csr_array
     back: csr_array
     level: csr_array
+    sure: Numbers
 
     @classmethod
-    def of(cls, found: Borders) -> "Outlines":
+    def of(cls, found: Borders, sure: Numbers) -> "Outlines":
         """Return the outlines of pieces whose borders were found in photos."""
         shape = (len(found.areas),) * 2
         level = csr_array((found.levels.astype(np.float64), (found.front, found.back)), shape=shape)
         front = csr_array(((found.lengths - found.levels).astype(np.float64), (found.front, found.back)), shape=shape)
-        return cls(found.areas.astype(np.float64), front, csr_array(front.T), csr_array(level + level.T))
+        return cls(found.areas.astype(np.float64), front, csr_array(front.T), csr_array(level + level.T), sure)
 
     @cached_property
     def fronts(self) -> Doubles:
@@ -81,6 +80,11 @@ class Outlines:
         return relief(self.fronts, self.levels)
 
     @cached_property
+    def free(self) -> Flags:
+        """Pieces that may be joined: neither masks hold them as a whole, nor do they stand out by themselves."""
+        return (self.sure < WHOLE_SURENESS) & (self.reliefs < ALONE_RELIEF)
+
+    @cached_property
     def largest(self) -> float:
         """Pixels that a set may have at most."""
         return MAX_AREA_SHARE * float(self.areas.sum())
@@ -93,7 +97,7 @@ class PieceSet:
     where it is behind the set, and where depth goes on.
     """
 
-    def __init__(self, outlines: Outlines, members: Members) -> None:
+    def __init__(self, outlines: Outlines, members: Indices) -> None:
         self.outlines = outlines
         self.within = np.zeros(len(outlines.areas), bool)
         self.before, self.behind, self.beside = (np.zeros(len(self.within)) for _ in range(3))
@@ -102,7 +106,7 @@ class PieceSet:
             self.change(piece)
 
     @property
-    def members(self) -> Members:
+    def members(self) -> Indices:
         """Numbers of the pieces, ascending."""
         return np.flatnonzero(self.within)
 
@@ -116,26 +120,47 @@ class PieceSet:
         """True where depth goes on along enough of the borders within."""
         return bool(goes_on(np.array(self.inner_level), np.array(self.inner_front)))
 
-    def changes(self, free: Flags) -> Changes:
+    @property
+    def gain(self) -> float:
+        """How much more the set stands out than its pieces do, in the mean by area; the same bits anywhere."""
+        reliefs, areas = self.outlines.reliefs[self.members], self.outlines.areas[self.members]
+        return self.relief - fsum(reliefs * areas) / self.area
+
+    @property
+    def is_thing(self) -> bool:
+        """True where the free pieces of the set are one thing."""
+        members = self.members[self.outlines.free[self.members]]
+        reliefs, shares = self.outlines.reliefs[members], self.outlines.areas[members] / self.area
+        finished = (shares >= FINISHED_SHARE) & (reliefs >= MIN_RELIEF)
+        return (
+            len(members) > 1
+            and self.relief >= MIN_RELIEF
+            and self.holds
+            and self.gain >= MIN_GAIN
+            and not finished.any()
+            and not (reliefs[shares >= LARGE_SHARE] > self.relief).any()
+        )
+
+    def changes(self) -> Indices:
         """Return the pieces that may be added or taken out: pieces of the set, and what depth goes on to from it.
 
-        free: pieces that may be added. Of others those that are small in the set may (`MAX_SMALL_SHARE`): a bow on a
-        doll is whole by itself, and hides some of the doll's outline. Nothing is added that makes the set too large.
+        Free pieces may be added. Of others those that are small in the set may (`MAX_SMALL_SHARE`): a bow on a doll is
+        whole by itself, and hides some of the doll's outline. Nothing is added that makes the set too large.
         """
         pieces = np.flatnonzero(self.within | (self.beside > 0))
         areas, within = self.outlines.areas[pieces], self.within[pieces]
         together = self.area + areas
-        fits = (free[pieces] | (areas <= MAX_SMALL_SHARE * together)) & (together <= self.outlines.largest)
-        return pieces[within | fits]
+        small = areas <= MAX_SMALL_SHARE * together
+        return pieces[within | (self.outlines.free[pieces] | small) & (together <= self.outlines.largest)]
 
-    def reliefs(self, pieces: Changes) -> Float64[np.ndarray, " c"]:
+    def reliefs(self, pieces: Indices) -> Doubles:
         """Return the relief of the set once each piece alone is added to it, or taken out of it."""
         sign = self._signs(pieces)
         front = self.outlines.fronts[pieces] - self.behind[pieces] - self.before[pieces]
         level = self.outlines.levels[pieces] - 2 * self.beside[pieces]
         return relief(self.front + sign * front, self.level + sign * level)
 
-    def holding(self, pieces: Changes) -> Bool[np.ndarray, " c"]:
+    def holding(self, pieces: Indices) -> Flags:
         """Return for each of these sets whether depth goes on along enough of the borders within."""
         sign = self._signs(pieces)
         jumps = self.before[pieces] + self.behind[pieces]
@@ -159,7 +184,7 @@ class PieceSet:
             sums[rows.indices[part]] += sign * rows.data[part]
         self.within[piece] ^= True
 
-    def _signs(self, pieces: Changes) -> Float64[np.ndarray, " c"]:
+    def _signs(self, pieces: Indices) -> Doubles:
         return np.where(self.within[pieces], -1.0, 1.0)
 
 
@@ -172,97 +197,58 @@ class Joined(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Growing:
-    """Grows sets from pieces: a `Part`. borders: `Borders`, and how `sure` each piece is."""
+    """Grows things from pieces: a `Part`. borders: `Borders`, and how `sure` each piece is."""
 
     borders: Held
 
     @cached_property
-    def candidates(self) -> "_Candidates":
-        """Candidates, none so far."""
+    def outlines(self) -> Outlines:
+        """Outlines of all pieces."""
         arrays = dict(self.borders.arrays)
         sure = arrays.pop("sure")
-        outlines = Outlines.of(Borders(**arrays))
-        return _Candidates(outlines, (sure < WHOLE_SURENESS) & (outlines.reliefs < ALONE_RELIEF))
+        return Outlines.of(Borders(**arrays), sure)
 
-    def __call__(self, seeds: Int64[np.ndarray, " k"], threads: int) -> Arrays:
-        own = replace(self.candidates, found={})
-        for seed in seeds.tolist():
-            own.add(grown(own.outlines, seed, own.free))
-        members = [np.array(one, np.int64) for one in own.found]
-        return {
-            "members": np.concatenate([np.empty(0, np.int64), *members]),
-            "ends": np.cumsum([0, *map(len, members)]),
-            "worths": np.array([*own.found.values()]).reshape(-1, 2),
-        }
+    def __call__(self, seeds: Indices, threads: int) -> Arrays:
+        sets = (refined(self.outlines, grown(self.outlines, seed)) for seed in seeds.tolist())
+        things = [one.members for one in sets if one.is_thing]
+        ends = np.cumsum([0, *map(len, things)])
+        return {"members": np.concatenate([np.empty(0, np.int64), *things]), "ends": ends}
 
 
 def join(found: Borders, sure: Numbers, work: Work = HERE) -> list[Joined]:
     """Return the disjoint sets of pieces that are one thing, by their first pieces.
 
-    From each piece, large ones first, a set is grown and refined (`standing_out`), and so are unions of the best sets.
+    From each piece, large ones first, a set is grown and refined, and so are unions of the best sets.
     Those that are one thing are taken by how much more they stand out than their pieces do, times their area. sure: how
     well single masks fit each piece; pieces that masks hold as a whole (`WHOLE_SURENESS`) or that stand out by
     themselves (`ALONE_RELIEF`) are left as they are, also small ones that lie on a thing and hide some of its outline.
     """
     growing = Growing(work.hold({**found._asdict(), "sure": sure}))
-    candidates, free = growing.candidates, growing.candidates.free
-    seeds = np.flatnonzero(free & (candidates.outlines.areas >= MIN_AREA_PIXELS))
+    outlines = growing.outlines
+    things: dict[tuple[int, ...], tuple[float, float]] = {}
+
+    def note(thing: PieceSet) -> None:
+        things[tuple(thing.members.tolist())] = -thing.gain * thing.area, thing.relief
+
+    def best() -> list[tuple[int, ...]]:
+        """Return the things that are worth most first, of equal ones the one with the lowest numbers."""
+        return sorted(things, key=lambda members: (things[members][0], members))
+
+    seeds = np.flatnonzero(outlines.free & (outlines.areas >= MIN_AREA_PIXELS))
     for held in work(growing, np.array_split(seeds, -(-len(seeds) // SEEDS_AT_ONCE) or 1), "joining pieces"):
-        members, ends, worths = (held.arrays[name] for name in ("members", "ends", "worths"))
-        for number, (begin, end) in enumerate(pairwise(ends.tolist())):
-            candidates.found[tuple(members[begin:end].tolist())] = tuple(worths[number].tolist())
-    for one, other in combinations(
-        candidates.best(MAX_SETS_UNITED), 2
-    ):  # a head and a body, each the best around itself
-        candidates.add(np.union1d(one.members, other.members))
-    taken, joined = np.zeros(len(free), bool), []
-    for best in candidates.best():
-        members = np.array(best.members)[free[best.members]]
+        for begin, end in pairwise(held.arrays["ends"].tolist()):
+            note(PieceSet(outlines, held.arrays["members"][begin:end]))
+    for one, other in combinations(best()[:MAX_SETS_UNITED], 2):  # a head and a body, each the best around itself
+        union = refined(outlines, np.union1d(one, other))
+        if union.is_thing:
+            note(union)
+    taken, joined = np.zeros(len(sure), bool), []
+    for thing in best():
+        members = np.array(thing)[outlines.free[list(thing)]]
         if not taken[members].any():
             taken[members] = True
-            joined.append(Joined(members.tolist(), best.relief))
+            joined.append(Joined(members.tolist(), things[thing][1]))
     return sorted(joined)
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Sets of pieces that are one thing. found: how much more each stands out than its pieces, times its area; relief.
-
-    free: pieces that may be joined.
-    """
-
-    outlines: Outlines
-    free: Flags
-    found: dict[tuple[int, ...], tuple[float, float]] = field(default_factory=dict)
-
-    def add(self, members: Members) -> None:
-        """Refine a set, and keep it if it is one thing."""
-        covered = refined(self.outlines, members, self.free)
-        if self._is_thing(covered):
-            self.found[tuple(covered.members.tolist())] = self._gain(covered) * covered.area, covered.relief
-
-    def best(self, count: int | None = None) -> list[Joined]:
-        """Return the sets that are worth most, or all; of equal ones the one with the lowest numbers first."""
-        ordered = sorted(self.found, key=lambda members: (-self.found[members][0], members))
-        return [Joined(list(members), self.found[members][1]) for members in ordered[:count]]
-
-    def _gain(self, covered: PieceSet) -> float:
-        """Return how much more a set stands out than its pieces do, in the mean by area; the same bits anywhere."""
-        members = covered.members
-        return covered.relief - fsum(self.outlines.reliefs[members] * self.outlines.areas[members]) / covered.area
-
-    def _is_thing(self, covered: PieceSet) -> bool:
-        members = covered.members[self.free[covered.members]]
-        reliefs, shares = self.outlines.reliefs[members], self.outlines.areas[members] / covered.area
-        finished = (shares >= FINISHED_SHARE) & (reliefs >= MIN_RELIEF)
-        return (
-            len(members) > 1
-            and covered.relief >= MIN_RELIEF
-            and covered.holds
-            and self._gain(covered) >= MIN_GAIN
-            and not finished.any()
-            and not (reliefs[shares >= LARGE_SHARE] > covered.relief).any()
-        )
 
 
 def with_joined(tree: Tree, found: list[Joined]) -> Tree:
@@ -287,14 +273,14 @@ def with_joined(tree: Tree, found: list[Joined]) -> Tree:
     order = order[~np.append(crossed, np.zeros(new, bool))[order]]
     place = np.full(old + new + 1, NONE)  # the last one is that of -1
     place[order] = np.arange(len(order))
-    node_of = place[np.append(_owners(tree.parents, ~crossed), NONE)[tree.node_of]]
+    node_of = place[np.append(owner_nodes(tree.parents, ~crossed), NONE)[tree.node_of]]
     return Tree(
         node_of.astype(np.int32), place[parents[order]].astype(np.int32), levels[order].astype(np.uint8),
         sure[order].astype(np.float32),
     )  # fmt: skip
 
 
-def _crossed(tree: Tree, things: Int64[np.ndarray, " o"], sets: list[np.ndarray]) -> Bool[np.ndarray, " t"]:
+def _crossed(tree: Tree, things: Indices, sets: list[np.ndarray]) -> OtherFlags:
     """Mark groups that hold some of a set and not all of it, or nothing but a set."""
     parents, crossed = tree.parents.tolist(), np.zeros(len(tree.parents), bool)
     held = Counter(group for thing in things.tolist() for group in _groups(parents, thing))
@@ -319,17 +305,17 @@ def goes_on(level: PixelSums, front: PixelSums) -> Bool[np.ndarray, " *s"]:
     return np.asarray(level >= MIN_LEVEL_SHARE * (level + front))
 
 
-def grown(outlines: Outlines, seed: int, free: Flags) -> Members:
+def grown(outlines: Outlines, seed: int) -> Indices:
     """Return the set that stands out most of those that come about as pieces are added to a seed, best first.
 
     Each time the neighbour is added with which the set stands out most, also where that is less than before: a thing
     of many pieces stands out little until most of it is there. Along half of the borders within the returned set depth
-    goes on (`MIN_LEVEL_SHARE`). free: see `PieceSet.changes`.
+    goes on (`MIN_LEVEL_SHARE`).
     """
     growing = PieceSet(outlines, np.array([seed]))
     order, best, length = [seed], growing.relief, 1
     while len(order) < MAX_PIECES:
-        pieces = growing.changes(free)
+        pieces = growing.changes()
         pieces = pieces[~growing.within[pieces]]
         if not len(pieces):
             break
@@ -341,14 +327,14 @@ def grown(outlines: Outlines, seed: int, free: Flags) -> Members:
     return np.sort(np.array(order[:length]))
 
 
-def refined(outlines: Outlines, members: Members, free: Flags) -> PieceSet:
+def refined(outlines: Outlines, members: Indices) -> PieceSet:
     """Return the set once no single piece added or taken out lets it stand out more; every step is the best one.
 
-    No step is taken after which depth does not go on along half of the borders within. free: see `PieceSet.changes`.
+    No step is taken after which depth does not go on along half of the borders within.
     """
     growing = PieceSet(outlines, members)
     for _ in range(4 * MAX_PIECES):
-        pieces = growing.changes(free)
+        pieces = growing.changes()
         if np.count_nonzero(growing.within) == 1:
             pieces = pieces[~growing.within[pieces]]
         pieces = pieces[growing.holding(pieces)]

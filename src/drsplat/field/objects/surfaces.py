@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from ...base.arrays import Float64, Ids
+from ...base.arrays import Ids, Points
 from ...scene.boxes import solid
 from ...scene.parted import AnyGaussians
+from ..forest import by_number
 
 NEAREST_SHARE, ROUNDS = 0.8, 4  # of the Gaussians, those nearest to the plane, to which it is fitted again
 MAX_RELIEF = 0.12  # standard deviation across the plane, of that along its shorter side
@@ -25,8 +26,7 @@ def surfaces(object_of: Ids, count: int, gaussians: AnyGaussians, size: float) -
         gaussians: the scene; one in parts is read along its rows.
         size: diagonal of the scene, in its units.
     """
-    order = np.argsort(object_of, kind="stable")
-    starts = np.searchsorted(object_of[order], np.arange(count + 1))
+    order, starts = by_number(object_of, count)
     each = np.split(order, starts)[1:-1]
     found = [False] * count
     for number in sorted(range(count), key=lambda number: int(each[number][0])):
@@ -35,7 +35,7 @@ def surfaces(object_of: Ids, count: int, gaussians: AnyGaussians, size: float) -
     return found
 
 
-def _is_surface(points: Float64[np.ndarray, "m 3"], size: float) -> bool:
+def _is_surface(points: Points, size: float) -> bool:
     near = points
     for _ in range(ROUNDS):
         variance, axes = np.linalg.eigh(np.cov(near.T, bias=True))

@@ -12,17 +12,25 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from ...base.arrays import Arrays, Bool, Float32, Float64, Int32, Int64, Integer
+from ...base.arrays import (
+    Arrays,
+    Doubles,
+    Flags,
+    Ids,
+    Indices,
+    Int64,
+    Numbers,
+    OtherDoubles,
+    OtherIds,
+    OtherIndices,
+    WholeNumbers,
+)
 from ...base.working import HERE, Held, Work
 from ...kernels import Forest
 from ..evidence.aggregation.entries import entry_rows
+from ..forest import with_those_below
 from .block_nodes import Block, BlockNodes
 from .choosing import NONE
-
-AnyNodes = Integer[np.ndarray, " t"]
-OfNodes = Int32[np.ndarray, " t"]
-NodeNumbers = Int64[np.ndarray, " t"]
-OfPairs = Int64[np.ndarray, " p"]
 
 WHOLE_SHARE = 0.8  # of a region's rows: a node that has as many, and is not cut, tells how well masks fit it
 PARTNER_IOU = 0.5  # of the rows that both blocks look at: above it each region has one partner at most
@@ -31,24 +39,24 @@ PARTNER_IOU = 0.5  # of the rows that both blocks look at: above it each region 
 class Shared(NamedTuple):
     """Numbers of rows that two blocks look at, by the smallest node of each block that they are in, -1 for none."""
 
-    one: OfPairs
-    other: OfPairs
-    counts: OfPairs
+    one: Indices
+    other: Indices
+    counts: Indices
 
 
 class United(NamedTuple):
     """forest: nodes of the scene, without single rows. node_of: the smallest node of each row, -1 for none."""
 
     forest: Forest
-    node_of: Int32[np.ndarray, " r"]
+    node_of: Ids
 
 
 class Masses(NamedTuple):
     """rows: the weight of each row of W. masks: of each mask. views: of each mask. far: as of `MergeRule`."""
 
-    rows: Float64[np.ndarray, " r"]
-    masks: Float64[np.ndarray, " m"]
-    views: Int32[np.ndarray, " m"]
+    rows: OtherDoubles
+    masks: Doubles
+    views: Ids
     far: float
 
 
@@ -64,13 +72,16 @@ def united(held: Sequence[Held], blocks: Sequence[Block], masses: Masses, work: 
     moved = [
         np.where(part.parents >= 0, part.parents + base, NONE) for part, base in zip(parts, bases[:-1], strict=True)
     ]
-    classes = _Classes(np.concatenate(moved), _together(parts, "ranks"), [Shared(**one.arrays) for one in shared])
-    parents, members, number = classes.grown()
+    pairs = [Shared(**one.arrays) for one in shared]
+    parents, members, number = _classes(np.concatenate(moved), _together(parts, "ranks"), pairs)
     node_of = np.full(len(masses.rows), NONE, np.int32)
     for part, base in zip(parts, bases[:-1], strict=True):
         own = part.inside & (part.lowest >= 0)
         node_of[part.rows[own]] = number[part.lowest[own] + base]
-    sizes, weights = _sums(parents, node_of, masses.rows)
+    held_rows = node_of >= 0
+    own = node_of[held_rows]
+    sizes = with_those_below(parents, np.bincount(own, minlength=len(parents)))
+    weights = with_those_below(parents, np.bincount(own, masses.rows[held_rows], len(parents)))
     fits, spreads = _judged(parts, members, sizes, masses)
     none = np.zeros(len(parents), np.float32)
     forest = Forest(parents, none, sizes.astype(np.int32), weights.astype(np.float32), fits, spreads)
@@ -103,59 +114,58 @@ class Sharing:
         return Shared(a, b, counts)._asdict()
 
 
-class _Classes:
-    """Regions of the scene, each a class of nodes of blocks, round by round."""
+def _classes(
+    parents: WholeNumbers, ranks: WholeNumbers, shared: Sequence[Shared]
+) -> tuple[OtherIds, tuple[np.ndarray, np.ndarray], Ids]:
+    """Return the regions of the scene, each a class of nodes of blocks, round by round.
 
-    def __init__(self, parents: AnyNodes, ranks: AnyNodes, shared: list[Shared]) -> None:
-        self.parents, self.ranks, self.shared = parents, ranks, shared
-
-    def grown(self) -> tuple[Int32[np.ndarray, " u"], tuple[np.ndarray, np.ndarray], OfNodes]:
-        """Return the parents of all classes, pairs (class, node of it), and the class that each node begins in."""
-        count = len(self.parents)
-        of, begins = np.full(count, NONE), np.full(count, NONE)  # the class of each node that is on top, now and first
-        pairs, total = [np.empty((2, 0), np.int64)], 0
-        up: dict[int, int] = {}
-        before = np.empty(0, np.int64)
-        for rank in np.unique(self.ranks):
-            born = self.ranks <= rank
-            top = np.append(np.where(born, _tops(self.parents, born), NONE), NONE)
-            (now,) = np.nonzero(born & (top[:-1] == np.arange(count)))
-            labels = self._labels(top, before, of)
-            old = np.unique(np.stack([labels[top[before]], of[before]]), axis=1)  # classes of the round before
-            held = np.bincount(old[0], minlength=count)
-            fresh = np.zeros(count, bool)
-            fresh[labels[now[self.ranks[now] == rank]]] = True
-            changed = fresh | (held > 1)
-            numbers = np.full(count, NONE)
-            numbers[old[0]] = old[1]
-            (new,) = np.nonzero(changed & (np.bincount(labels[now], minlength=count) > 0))
-            numbers[new] = total + np.arange(len(new))
-            total += len(new)
-            joined = changed[old[0]]
-            up.update(zip(old[1][joined].tolist(), numbers[old[0][joined]].tolist(), strict=True))
-            of[now] = numbers[labels[now]]
-            pairs.append(np.stack([of[now], now])[:, changed[labels[now]]])
-            first = now[self.ranks[now] == rank]
-            begins[first] = of[first]
-            before = now
-        whole = np.full(total, NONE, np.int32)
-        whole[list(up)] = list(up.values())
-        together = np.concatenate(pairs, axis=1)
-        return whole, (together[0], together[1]), begins.astype(np.int32)
-
-    def _labels(self, top: Int64[np.ndarray, " t1"], before: Int64[np.ndarray, " k"], of: NodeNumbers) -> OfNodes:
-        """Return a number for each node; nodes on top that are one region now have the same."""
-        order = before[np.argsort(of[before], kind="stable")]
-        same = of[order][1:] == of[order][:-1]
-        edges = [np.stack([top[order[:-1][same]], top[order[1:][same]]])]
-        edges += [_matches(top[shared.one], top[shared.other], shared.counts) for shared in self.shared]
-        one, other = np.concatenate(edges, axis=1)
-        count = len(self.parents)
-        graph = csr_array((np.ones(len(one), bool), (one, other)), shape=(count, count))
-        return np.asarray(connected_components(graph, directed=False)[1])
+    These are the parents of all classes, pairs (class, node of it), and the class that each node begins in.
+    """
+    count = len(parents)
+    of, begins = np.full(count, NONE), np.full(count, NONE)  # the class of each node that is on top, now and first
+    pairs, total = [np.empty((2, 0), np.int64)], 0
+    up: dict[int, int] = {}
+    before = np.empty(0, np.int64)
+    for rank in np.unique(ranks):
+        born = ranks <= rank
+        top = np.append(np.where(born, _tops(parents, born), NONE), NONE)
+        (now,) = np.nonzero(born & (top[:-1] == np.arange(count)))
+        labels = _labels(top, before, of, shared)
+        old = np.unique(np.stack([labels[top[before]], of[before]]), axis=1)  # classes of the round before
+        held = np.bincount(old[0], minlength=count)
+        fresh = np.zeros(count, bool)
+        fresh[labels[now[ranks[now] == rank]]] = True
+        changed = fresh | (held > 1)
+        numbers = np.full(count, NONE)
+        numbers[old[0]] = old[1]
+        (new,) = np.nonzero(changed & (np.bincount(labels[now], minlength=count) > 0))
+        numbers[new] = total + np.arange(len(new))
+        total += len(new)
+        joined = changed[old[0]]
+        up.update(zip(old[1][joined].tolist(), numbers[old[0][joined]].tolist(), strict=True))
+        of[now] = numbers[labels[now]]
+        pairs.append(np.stack([of[now], now])[:, changed[labels[now]]])
+        first = now[ranks[now] == rank]
+        begins[first] = of[first]
+        before = now
+    whole = np.full(total, NONE, np.int32)
+    whole[list(up)] = list(up.values())
+    together = np.concatenate(pairs, axis=1)
+    return whole, (together[0], together[1]), begins.astype(np.int32)
 
 
-def _tops(parents: AnyNodes, born: Bool[np.ndarray, " t"]) -> NodeNumbers:
+def _labels(top: Int64[np.ndarray, " t1"], before: OtherIndices, of: Indices, shared: Sequence[Shared]) -> Ids:
+    """Return a number for each node; nodes on top that are one region now have the same."""
+    order = before[np.argsort(of[before], kind="stable")]
+    same = of[order][1:] == of[order][:-1]
+    edges = [np.stack([top[order[:-1][same]], top[order[1:][same]]])]
+    edges += [_matches(top[pair.one], top[pair.other], pair.counts) for pair in shared]
+    one, other = np.concatenate(edges, axis=1)
+    graph = csr_array((np.ones(len(one), bool), (one, other)), shape=(len(of), len(of)))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _tops(parents: WholeNumbers, born: Flags) -> Indices:
     """Return the highest node above each, or itself, among those that are born; parents are born after children."""
     up = np.where((parents >= 0) & born[parents], parents, np.arange(len(parents)))
     while (up != (further := up[up])).any():
@@ -163,7 +173,7 @@ def _tops(parents: AnyNodes, born: Bool[np.ndarray, " t"]) -> NodeNumbers:
     return up
 
 
-def _matches(one: OfPairs, other: OfPairs, counts: OfPairs) -> Int64[np.ndarray, "2 q"]:
+def _matches(one: Indices, other: Indices, counts: Indices) -> Int64[np.ndarray, "2 q"]:
     """Return the pairs of regions of two blocks that share more than half of the rows of both."""
     sizes = []
     for side in (one, other):
@@ -176,12 +186,13 @@ def _matches(one: OfPairs, other: OfPairs, counts: OfPairs) -> Int64[np.ndarray,
 
 
 def _judged(
-    parts: Sequence[BlockNodes], members: tuple[np.ndarray, np.ndarray], sizes: Int64[np.ndarray, " u"], masses: Masses
-) -> tuple[Float32[np.ndarray, " u"], Float32[np.ndarray, " u"]]:
+    parts: Sequence[BlockNodes], members: tuple[np.ndarray, np.ndarray], sizes: Indices, masses: Masses
+) -> tuple[Numbers, Numbers]:
     """Return fits and spreads of all classes. members: pairs (class, node); sizes: rows of each class."""
     of, nodes = members
     cut, fits, spreads = (_together(parts, name) for name in ("cut", "fits", "spreads"))
-    rows = np.concatenate([_sums(part.parents, part.lowest, np.empty(0))[0] for part in parts])[nodes]
+    sums = (with_those_below(p.parents, np.bincount(p.lowest[p.lowest >= 0], minlength=len(p.parents))) for p in parts)
+    rows = np.concatenate([*sums])[nodes]
     judged, spread = np.zeros(len(sizes), np.float32), np.zeros(len(sizes), np.float32)
     np.maximum.at(spread, of, spreads[nodes])
     order = np.lexsort((-nodes, rows, ~cut[nodes]))  # the last one of a class is the largest that is whole, if any is
@@ -193,7 +204,9 @@ def _judged(
     number = np.cumsum(partly) - 1
     place = number[of[pieces]], (np.cumsum(cut) - 1)[nodes[pieces]]
     pick = csr_array((np.ones(len(place[0]), np.float32), place), shape=(int(partly.sum()), int(cut.sum())))
-    found = fits_of(csr_array(pick @ _cut_sums(parts, len(masses.masks))), masses)
+    starts = np.concatenate([[0], *(np.diff(part.indptr) for part in parts)])
+    arrays = _together(parts, "data"), _together(parts, "indices"), np.cumsum(starts)
+    found = fits_of(csr_array(pick @ csr_array(arrays, shape=(len(starts) - 1, len(masses.masks)))), masses)
     some = np.bincount(place[0], minlength=len(found)) > 0
     judged[np.flatnonzero(partly)[some]] = found[some]
     return judged, spread
@@ -203,13 +216,7 @@ def _together(parts: Sequence[BlockNodes], name: str) -> np.ndarray:
     return np.concatenate([getattr(part, name) for part in parts])
 
 
-def _cut_sums(parts: Sequence[BlockNodes], masks: int) -> csr_array:
-    starts = np.concatenate([[0], *(np.diff(part.indptr) for part in parts)])
-    indices, data = _together(parts, "indices"), _together(parts, "data")
-    return csr_array((data, indices, np.cumsum(starts)), shape=(len(starts) - 1, masks))
-
-
-def fits_of(weights: csr_array, masses: Masses) -> Float64[np.ndarray, " t"]:
+def fits_of(weights: csr_array, masses: Masses) -> Doubles:
     """Return how well masks fit regions: the mean over views of the IoU with the best mask there.
 
     weights: of each region in each mask. Twin: host/regions.cpp, `fit`.
@@ -229,17 +236,3 @@ def fits_of(weights: csr_array, masses: Masses) -> Float64[np.ndarray, " t"]:
     whole = np.bincount(rows[starts], share, weights.shape[0])
     fits = np.bincount(rows[starts], best * share, weights.shape[0])
     return np.minimum(1, np.divide(fits, whole, out=np.zeros(len(whole)), where=whole > 0))
-
-
-def _sums(
-    parents: OfNodes, node_of: Int32[np.ndarray, " r"], weights: Float64[np.ndarray, " w"]
-) -> tuple[NodeNumbers, Float64[np.ndarray, " t"]]:
-    """Return how many rows each node has, and their weight; no weights: 0."""
-    held = node_of >= 0
-    sizes = np.bincount(node_of[held], minlength=len(parents))
-    sums = np.bincount(node_of[held], weights[held], len(parents)) if len(weights) else np.zeros(len(parents))
-    for node, parent in enumerate(parents.tolist()):
-        if parent >= 0:
-            sizes[parent] += sizes[node]
-            sums[parent] += sums[node]
-    return sizes, sums

@@ -6,14 +6,14 @@ docs/grouping.md.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from math import fsum
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Float64, Int64
+from ...base.arrays import Doubles, Flags, Float64, Indices
 from ...scene.masks.region_tree import RegionTree
 from ..evidence.evidence import Evidence, MaskIds
 from ..forest import THING
@@ -29,7 +29,6 @@ LARGE_SHARE = 0.1  # of a set: pieces of so much may not be worth more than all 
 MAX_SHARE = 0.35  # of all weight: what is more is the room
 WORTH_DECIMALS = 6  # the last bits of sums depend on the processor
 MAX_FRAMED = 0.05  # of the border of a set: what photos cut off is a surface
-Things = Int64[np.ndarray, " t"]
 Set = tuple[int, ...]
 
 
@@ -47,8 +46,8 @@ Votes = Callable[[], Iterable[Vote]]
 class Worth(NamedTuple):
     """Worth of sets of pieces, 0 to 1, as photos see it. framed: share of the border that is a photo's frame."""
 
-    worth: Float64[np.ndarray, " s"]
-    framed: Float64[np.ndarray, " s"]
+    worth: Doubles
+    framed: Doubles
 
 
 def with_voted(tree: Tree, votes: Votes) -> Tree:
@@ -62,12 +61,15 @@ def with_voted(tree: Tree, votes: Votes) -> Tree:
     if not sets:
         return tree
     alone = [(thing,) for thing in range(len(things))]
-    both = worth_of(_membership([*alone, *sets], len(things)), tree, things, votes)
+    members = [*alone, *sets]
+    rows = np.repeat(np.arange(len(members)), [len(one) for one in members])
+    entries = np.ones(len(rows), np.float32), (rows, np.concatenate(members))
+    both = worth_of(csr_array(entries, shape=(len(members), len(things))), tree, things, votes)
     pieces, found = (Worth(*(values[part] for values in both)) for part in (np.s_[: len(alone)], np.s_[len(alone) :]))
     return with_joined(tree, _chosen(sets, found, pieces, seen.sum(0)))
 
 
-def worth_of(sets: csr_array, tree: Tree, things: Things, votes: Votes) -> Worth:
+def worth_of(sets: csr_array, tree: Tree, things: Indices, votes: Votes) -> Worth:
     """Return what sets of things are worth, (s, t) of 0 and 1.
 
     It is the median, over the photos that see the set, of its IoU with the best candidate there, times the mean
@@ -85,7 +87,7 @@ def worth_of(sets: csr_array, tree: Tree, things: Things, votes: Votes) -> Worth
     return Worth(*(np.round(values, WORTH_DECIMALS) for values in (worth, cut_off)))
 
 
-def _seen(tree: Tree, things: Things, vote: Vote) -> csr_array:
+def _seen(tree: Tree, things: Indices, vote: Vote) -> csr_array:
     """Return the weight of each thing in each region of a photo, (t, n)."""
     count = vote.weights.shape[1]
     masks = MaskIds((vote.view_name,), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
@@ -103,7 +105,7 @@ def _said(own: csr_array, vote: Vote) -> tuple[np.ndarray, ...]:
     return seen, fits.max(1), *(values[best] for values in vote.tree.bounds)
 
 
-def _proposed(tree: Tree, things: Things, seen: Float64[np.ndarray, "v t"], votes: Votes) -> list[Set]:
+def _proposed(tree: Tree, things: Indices, seen: Float64[np.ndarray, "v n"], votes: Votes) -> list[Set]:
     """Return the sets of two or more things that candidates of photos hold, those of most photos first."""
     counts: Counter[Set] = Counter()
     for here, vote in zip(seen, votes(), strict=True):
@@ -111,9 +113,7 @@ def _proposed(tree: Tree, things: Things, seen: Float64[np.ndarray, "v t"], vote
     return sorted(counts, key=lambda one: (-counts[one], one))[:MAX_SETS]
 
 
-def _proposals(
-    own: csr_array, seen: Float64[np.ndarray, " t"], sees: Bool[np.ndarray, " t"], vote: Vote
-) -> Iterator[Set]:
+def _proposals(own: csr_array, seen: Doubles, sees: Flags, vote: Vote) -> Iterator[Set]:
     candidates = vote.tree.candidates
     shared = (own @ candidates.T).toarray()
     within = (shared > INSIDE_SHARE * seen[:, None]) & sees[:, None]
@@ -124,12 +124,7 @@ def _proposals(
         yield tuple(np.flatnonzero(within[:, column]).tolist())
 
 
-def _membership(sets: Sequence[Set], count: int) -> csr_array:
-    rows = np.repeat(np.arange(len(sets)), [len(one) for one in sets])
-    return csr_array((np.ones(len(rows), np.float32), (rows, np.concatenate(sets))), shape=(len(sets), count))
-
-
-def _chosen(sets: list[Set], found: Worth, pieces: Worth, weight: Float64[np.ndarray, " t"]) -> list[Joined]:
+def _chosen(sets: list[Set], found: Worth, pieces: Worth, weight: Doubles) -> list[Joined]:
     """Return the disjoint sets that are one thing, those of most weight times gain first."""
     gains: list[tuple[float, int]] = []
     for number, (one, worth, framed) in enumerate(zip(sets, *found, strict=True)):

@@ -7,23 +7,17 @@ Held are the rows and nodes of a block, and some bytes of each Gaussian; shapes 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Arrays
-from ...base.working import Held
-from ...errors import InputError
 from ...formats.tiles import Tiles
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from .. import LanguageField
 from ..codes import Track, untracked
 from ..forest import Objects
-from ..objects.borders import ViewBorders, borders_in, of_all_views
-from ..objects.describing import describe
-from ..objects.finding import cameras_of, pieces_of, seen_by, tree_of, with_pieces_joined
+from ..objects import finding
 from .launching import ONE_PROCESS, Launcher
 from .seeing import Gallery, with_tiles
 from .store import store_of
@@ -51,20 +45,10 @@ def find_objects(
     Raises: as the other, and as `Launcher.results`.
     """
     field.check_scene(tiles)
-    if field.evidence is None:
-        raise InputError("objects are found in the evidence, and this field was saved without: register again")
-    store, cameras = store_of(parts), cameras_of(field) if views is None else views
-    scene = mapped(tiles, store.folder / OBJECTS_FOLDER)
-    ids = field.gaussian_ids
+    store = store_of(parts)
+    scene, scenery = mapped(tiles, store.folder / OBJECTS_FOLDER), Gallery(tiles, store=with_tiles(store, tiles))
     work = ByTasks(store, launcher, threads, track, OBJECTS_FOLDER)
-    found = tree_of(field.evidence, np.asarray(scene.means[ids]), work)
-    tree, seen = found.tree, seen_by(found, cameras)
-    if seen:
-        pieces = pieces_of(tree, ids, len(tiles))
-        bordering = Bordering(Gallery(tiles, store=with_tiles(store, tiles)), work.hold({"pieces": pieces}))
-        made = (ViewBorders(**held.arrays) for held in work(bordering, seen, "looking at borders"))
-        tree = with_pieces_joined(tree, of_all_views(made, int(pieces.max(initial=-1)) + 1), work)
-    return describe(field, scene, tree, work=work)
+    return finding.find_objects(field, scene, views=views, scenery=scenery, work=work)
 
 
 def mapped(tiles: Tiles, folder: Path) -> Gaussians:
@@ -79,16 +63,3 @@ def mapped(tiles: Tiles, folder: Path) -> Gaussians:
     )  # fmt: skip
     colours = np.broadcast_to(np.zeros((1, 1, 3), np.float32), (len(tiles), 1, 3))
     return Gaussians(means, quats, scales, opacities, colours, origin=tiles.origin, antialiased=tiles.antialiased)
-
-
-@dataclass(frozen=True, eq=False)
-class Bordering:
-    """Finds the borders that a view shows: a `Part`. pieces: of each Gaussian, -1 for none."""
-
-    gallery: Gallery
-    pieces: Held
-
-    def __call__(self, view: View, threads: int) -> Arrays:
-        seen, pieces = self.gallery.visible_splats(view), self.pieces.arrays["pieces"]
-        of_seen = np.asarray(pieces if seen.rows is None else pieces[seen.rows])
-        return borders_in(seen.splats, view, of_seen, threads=threads)._asdict()

@@ -24,17 +24,20 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ...base.arrays import Arrays, Embeddings, Flags, Ids, Indices, UnsignedIds
+from ...base.contents import pieces
+from ...base.working import Part
 from ...formats.tensors import map_tensors, write_tensors
 from ...formats.tiles import Tiles
-from ...kernels import weighted_rows
-from ...kernels.mixture import MAX_ATOMS, Encoded
+from ...kernels.mixture import Encoded
 from ...scene.gaussians import Gaussians
 from ...scene.masks.features import ViewFeatures
 from ...scene.views import View
-from ..building import AT_ONCE, encode_features
+from ..building import RowCoder, encode_features
 from ..codes import Codebook, Codes, Track, untracked
-from ..codes.mixture import Mixed, SceneAtoms, assemble, atoms_by_use, encode_rows, left_in, plan_of
+from ..codes.mixture import Mixed, SceneAtoms, encode_rows, mixed_of
 from ..evidence.aggregation import Aggregated, Aggregator, Sampling
+from ..evidence.aggregation.outliers import OutlierRejection
+from ..evidence.aggregation.trust import MaskTrust, Tally
 from ..evidence.columns import ColumnMaker, part_name
 from ..evidence.evidence import Evidence
 from ..registration import (
@@ -46,11 +49,11 @@ from ..registration import (
     warn_of_missing,
     with_features,
 )
-from .aggregating import EMBEDDINGS_FILE, OfTiles, OnRuns, RowFiles, TileAggregator, is_by_tasks
+from .aggregating import EMBEDDINGS_FILE, Believing, OfColumns, OfTiles, RowFiles, Tallying, Voting, Weighing
 from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, store_of
-from .tasks import Stored
+from .tasks import ByTasks, Stored
 from .transposing import ROWS_FOLDER, RowMaker, Run, filed, joined_rows, rows_name, runs_of
 
 
@@ -86,7 +89,7 @@ class ColumnTask:
         features = self.features[given] if isinstance(given, str) else given
         name = part_name(view.name)
         self.store.bring(name)
-        columns, is_new = replace(self.maker, folder=self.store.folder).load_or_compute(view, features)
+        columns, is_new = replace(self.maker, folder=self.store.folder).columns(view, features)
         write_tensors(embeddings_file(columns.path), {"embeddings": features.embeddings}, overwrite=True)
         self.store.send(embeddings_file(columns.path).name)
         if is_new or not self.store.has(name):  # who made it may have been killed before it was sent
@@ -189,87 +192,112 @@ def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> E
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of W that have weights, and the embeddings of all columns: what codes are made of."""
+class Mixing:
+    """Codes rows of runs: a `Part`. columns: whose embeddings may be atoms; None: all.
 
-    weights: csr_array
-    embeddings: Embeddings
-
-    def __len__(self) -> int:
-        return int(self.weights.shape[0])
-
-    def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings:
-        w = self.weights
-        return weighted_rows(w.indptr, w.indices, w.data, self.embeddings, begin, end, threads=threads)
-
-
-@dataclass(frozen=True, eq=False)
-class OfRuns:
-    """Part that codes the rows of runs."""
+    Ids are columns, then the scene's atoms.
+    """
 
     files: RowFiles
-
-    def _rows(self, run: Run) -> Rows:
-        tensors, embeddings = self.files.arrays(run), self.files.embeddings()
-        starts = tensors["indptr"].astype(np.int32)
-        starts = starts[np.append(True, np.diff(starts) > 0)]  # rows without any weight have no code
-        matrix = csr_array((tensors["data"], tensors["indices"], starts), shape=(len(starts) - 1, len(embeddings)))
-        return Rows(matrix, embeddings)
-
-
-@dataclass(frozen=True, eq=False)
-class Mixing(OfRuns):
-    """A `Part`. columns: whose embeddings may be atoms; None: all. Ids are columns, then the scene's atoms."""
-
     atoms_per_row: int
     scene: SceneAtoms | None
     columns: Ids | None = None
 
     def __call__(self, run: Run, threads: int) -> Arrays:
-        rows = self._rows(run)
-        own = np.unique(rows.weights.indices)
-        own = own if self.columns is None else np.intersect1d(own, self.columns, assume_unique=True)
-        plan = plan_of(rows.embeddings, own, self.scene)
-        encoded = encode_rows(rows, plan, self.atoms_per_row, threads=threads)
-        of_scene = encoded.ids - np.int32(len(own)) + np.int32(len(rows.embeddings))
-        ids = np.where(encoded.ids < len(own), np.append(own, 0)[np.minimum(encoded.ids, len(own))], of_scene)
-        return encoded._replace(ids=ids.astype(np.int32))._asdict()
+        rows = self.files.seen(run)
+        return encode_rows(rows, self.columns, self.scene, self.atoms_per_row, threads=threads)._asdict()
 
 
 @dataclass(frozen=True, eq=False)
-class Quantising(OfRuns):
-    """A `Part`."""
+class Quantising:
+    """Codes rows of runs: a `Part`."""
 
+    files: RowFiles
     codebook: Codebook
 
     def __call__(self, run: Run, threads: int) -> Arrays:
-        (codes, coarse_ids), directed = encode_features(self._rows(run), self.codebook, threads, untracked)
+        (codes, coarse_ids), directed = encode_features(self.files.seen(run), self.codebook, threads, untracked)
         return {"codes": codes, "directed": directed} | ({} if coarse_ids is None else {"coarse_ids": coarse_ids})
 
 
-class TileCoder(OnRuns):
-    """A `RowCoder` that lets a launcher work; other evidence than that of the runs is coded at once."""
+@dataclass(frozen=True, eq=False)
+class TileCoder(RowCoder):
+    """Lets a launcher make and code the features of runs; other evidence than that of the runs is coded at once.
+
+    evidence: that of the files of the runs. key: of the weights. threads: of each worker. gallery: where the tiles are.
+    """
+
+    evidence: Evidence
+    store: Store
+    runs: Sequence[Run]
+    launcher: Launcher
+    key: str
+    threads: int
+    gallery: Gallery
 
     def aggregated(
         self, how: Aggregator, evidence: Evidence, gaussians: Gaussians | None, threads: int, track: Track
     ) -> Aggregated:
-        """See RowCoder."""
-        if evidence is self.evidence and is_by_tasks(how):
-            return self._aggregator(how, track)
-        if how.voting is not None and gaussians is None:
-            gaussians = self.gallery.tiles.gaussians()
-        return AT_ONCE.aggregated(how, evidence, gaussians, threads, track)
+        """See RowCoder. Steps of other kinds may look at whatever they like, and do so at once."""
+        if evidence is not self.evidence or not all(isinstance(s, MaskTrust | OutlierRejection) for s in how.steps):
+            if how.voting is not None and gaussians is None:
+                gaussians = self.gallery.tiles.gaussians()
+            return super().aggregated(how, evidence, gaussians, threads, track)
+        rows = self.registered
+        for step in how.steps:
+            rows = self._weighed(rows, step, track)  # type: ignore[arg-type]
+        if rows is not self.registered:
+            held = [rows.held[run.name] for run in self.runs]
+            evidence = replace(
+                evidence, weights=joined_rows(held, self.store.folder / "made" / "joined", len(rows.masks))
+            )
+        if how.voting is None:
+            return OfTiles(evidence, None, how.record(), files=rows)
+        believed = self._made(Believing(rows), track)
+        chosen = self._made(Voting(rows, how.voting, self.registered, believed, self.gallery, self.runs), track)
+        donors = np.concatenate([chosen.arrays(run)["donors"] for run in self.runs])
+        return OfTiles(evidence, donors, how.record(), files=chosen)
+
+    @cached_property
+    def registered(self) -> RowFiles:
+        """Rows as they are registered."""
+        digest = hashlib.blake2b(self.key.encode(), digest_size=16)
+        for piece in pieces(self.evidence.embeddings):
+            digest.update(piece)
+        self.store.send(EMBEDDINGS_FILE)
+        held = {run.name: Stored(self.store, rows_name(run)) for run in self.runs}
+        return RowFiles(self.store, self.evidence.masks, held, digest.hexdigest())
+
+    def _weighed(self, rows: RowFiles, step: MaskTrust | OutlierRejection, track: Track) -> RowFiles:
+        if not isinstance(step, MaskTrust):
+            return self._made(Weighing(rows, step), track)
+        counted = self._made(Tallying(rows), track)
+        count = len(rows.masks)
+        surpluses, weights = np.zeros(count), np.zeros(count)
+        for part in map(counted.arrays, self.runs):
+            surpluses[part["columns"]] += part["surpluses"]
+            weights[part["columns"]] += part["weights"]
+        return self._made(Weighing(rows, step, step.trust(Tally(surpluses, weights))), track)
+
+    def _made(self, part: Part[Run], track: Track) -> RowFiles:
+        """Let tasks make a file of each run; return those files."""
+        made = self.work(0, track)(part, self.runs, "weighing votes")
+        return replace(self.registered, held=dict(zip((run.name for run in self.runs), made, strict=True)))
 
     def of_columns(self, features: Aggregated, kept: Flags) -> Aggregated:
         """See RowCoder."""
         if not isinstance(features, OfTiles):
-            return AT_ONCE.of_columns(features, kept)
-        return self._aggregator.of_columns(features, kept, untracked)
+            return super().of_columns(features, kept)
+        parts = list(map(self._made(OfColumns(features.files, kept), untracked).arrays, self.runs))
+        starts = np.append(0, np.cumsum(np.concatenate([np.diff(part["indptr"]) for part in parts])))
+        arrays = (np.concatenate([part[name] for part in parts]) for name in ("data", "indices"))
+        kind = np.int32 if starts[-1] < 1 << 31 else np.int64
+        matrix = csr_array((*arrays, starts.astype(kind)), shape=(len(starts) - 1, len(kept)))
+        return Aggregated(replace(self.evidence, weights=matrix), None, features.record)
 
-    @cached_property
-    def _aggregator(self) -> TileAggregator:
-        made = self.evidence, self.store, self.runs, self.launcher, self.key, self.threads
-        return TileAggregator(*made, self.gallery)
+    def work(self, threads: int, track: Track) -> ByTasks:
+        """See RowCoder. `threads` are those of this process."""
+        return ByTasks(self.store, self.launcher, self.threads, track, "made")
 
     def mixed(
         self, features: Aggregated, seen: Indices, atoms_per_row: int, scene: SceneAtoms | None,
@@ -277,30 +305,19 @@ class TileCoder(OnRuns):
     ) -> Mixed:  # fmt: skip
         """See RowCoder."""
         if not isinstance(features, OfTiles):
-            return AT_ONCE.mixed(features, seen, atoms_per_row, scene, threads, track)
-        coding, masks = Mixing(features.files, atoms_per_row, scene), len(self.evidence.masks)
-        while True:
-            encoded = Encoded(**self._coded(coding, track))
-            used = atoms_by_use(encoded)
-            if len(used) <= MAX_ATOMS:
-                return self._assembled(encoded, used, scene)
-            coding = replace(coding, columns=left_in(used, masks, scene))
+            return super().mixed(features, seen, atoms_per_row, scene, threads, track)
 
-    def _assembled(self, encoded: Encoded, used: Indices, scene: SceneAtoms | None) -> Mixed:
-        """Assemble with a plan of the columns alone that are used."""
-        masks = len(self.evidence.masks)
-        columns = np.sort(used[used < masks]).astype(np.int32)
-        plan = plan_of(self.evidence.embeddings, columns, scene)
-        number = np.append(plan.positions, np.arange(len(scene) if scene else 0, dtype=np.int32) + len(columns))
-        placed = encoded._replace(ids=np.maximum(number[encoded.ids], 0).astype(np.int32))
-        return assemble(placed, plan, columns, atoms_by_use(placed))
+        def encode(columns: Ids | None) -> Encoded:
+            return Encoded(**self._coded(Mixing(features.files, atoms_per_row, scene, columns), track))
+
+        return mixed_of(encode, self.evidence.embeddings, scene)
 
     def quantised(
         self, features: Aggregated, seen: Indices, codebook: Codebook, threads: int, track: Track
     ) -> tuple[Codes, Flags]:
         """See RowCoder."""
         if not isinstance(features, OfTiles):
-            return AT_ONCE.quantised(features, seen, codebook, threads, track)
+            return super().quantised(features, seen, codebook, threads, track)
         arrays = self._coded(Quantising(features.files, codebook), track)
         return Codes(arrays["codes"], arrays.get("coarse_ids")), arrays["directed"]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -18,36 +18,22 @@ from ...formats.tensors import write_tensors
 from ..evidence.columns import is_finished
 
 
-@runtime_checkable
-class Store(Protocol):
-    """Files by name. folder: where they lie on this machine."""
-
-    @property
-    def folder(self) -> Path: ...
-    def bring(self, name: str) -> Path:
-        """Return the local path of a file, fetching it first if it is in the store."""
-
-    def has(self, name: str) -> bool:
-        """Return whether all workers can have a file."""
-
-    def send(self, name: str) -> None:
-        """Make a file of `folder` available to all workers."""
-
-
 @dataclass(frozen=True)
 class Shared:
-    """A folder that every worker sees."""
+    """Files by name in a folder that every worker sees."""
 
     folder: Path
 
     def bring(self, name: str) -> Path:
+        """Return the local path of a file, fetching it first if it is in the store."""
         return self.folder / name
 
     def has(self, name: str) -> bool:
+        """Return whether all workers can have a file."""
         return (self.folder / name).exists()
 
     def send(self, name: str) -> None:
-        pass
+        """Make a file of `folder` available to all workers."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +98,9 @@ class Remote:
         except (ValueError, ImportError) as error:
             raise InputError(f"{self.url}: {error}") from None
         return files, str(root).rstrip("/")
+
+
+Store = Shared | Remote
 
 
 def store_of(place: str | os.PathLike[str]) -> Store:

@@ -4,7 +4,7 @@ import hashlib
 import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
@@ -36,17 +36,10 @@ class Stored:
         return {"store": self.store, "name": self.name}
 
 
-@dataclass(frozen=True, eq=False)
-class PartTask:
-    """Makes the file of an item, unless it is there."""
-
-    store: Store
-    part: Part[Any]
-    threads: int
-
-    def __call__(self, task: tuple[str, Any]) -> bool:
-        name, item = task
-        return make_once(self.store, name, name, lambda: self.part(item, self.threads))
+def make_part(store: Store, part: Part[Any], threads: int, task: tuple[str, Any]) -> bool:
+    """Make the file of an item, unless it is there. task: name of the file, and item."""
+    name, item = task
+    return make_once(store, name, name, lambda: part(item, threads))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +71,9 @@ class ByTasks:
         kind = type(part).__name__.lower()
         key = _key(default_isa(), part)
         names = [f"{self.folder}/{_key(key, item)}.{kind}.safetensors" for item in items]
-        results = self.launcher.results(PartTask(self.store, part, self.threads), list(zip(names, items, strict=True)))
+        results = self.launcher.results(
+            partial(make_part, self.store, part, self.threads), list(zip(names, items, strict=True))
+        )
         for _ in followed(results, self.track, [f"{kind} {number}" for number in range(len(items))], doing):
             pass
         return [Stored(self.store, name) for name in names]

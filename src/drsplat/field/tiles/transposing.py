@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,9 +62,9 @@ class RowMaker:
         return make_once(self.store, rows_name(run), self.key, lambda: self._rows(run))
 
     def _rows(self, run: Run) -> Arrays:
-        parts = [_held(NO_TRIPLES)] * len(self.views)
+        parts: list[Callable[[], Triples]] = [lambda: NO_TRIPLES] * len(self.views)
         for view in run.views.tolist():
-            parts[view] = _held(_part(self.store.bring(self.views[view]), run.first, run.num_rows))
+            parts[view] = partial(_part, self.store.bring(self.views[view]), run.first, run.num_rows)
         w = stacked(parts, self.widths, run.num_rows)
         return {"indptr": w.indptr.astype(np.int64), "indices": w.indices, "data": w.data}
 
@@ -73,11 +74,7 @@ def _part(view: Path, first: int, count: int) -> Triples:
     tensors, _ = map_tensors(view)
     ids = tensors["gaussian_ids"]
     run = slice(*np.searchsorted(ids, np.array([first, first + count], ids.dtype)))
-    return Triples(ids[run] - np.uint32(first), tensors["segment_ids"][run].copy(), tensors["weights"][run].copy())
-
-
-def _held(triples: Triples) -> Callable[[], Triples]:
-    return lambda: triples
+    return Triples(ids[run] - np.uint32(first), tensors["segment_ids"][run], tensors["weights"][run])
 
 
 def runs_of(tiles: Sequence[Tile], num_weights: int, held: Sequence[bytes]) -> list[Run]:

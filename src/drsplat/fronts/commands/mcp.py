@@ -1,7 +1,5 @@
 """drsplat mcp: scenes for language models, over the Model Context Protocol."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Any

@@ -78,24 +78,21 @@ def left_out(names: Sequence[str], without: str | None) -> set[str]:
 
     Raises: InputError: no such file, names that no photo has, all photos, or none.
     """
-
     if without is None:
         return set()
-    chosen = _every(names, without) if without.startswith(EVERY_PREFIX) else _listed(names, without)
+    if without.startswith(EVERY_PREFIX):
+        try:
+            step = whole(without.removeprefix(EVERY_PREFIX), least=2)
+        except argparse.ArgumentTypeError as error:
+            raise InputError(f"--without {without}: {error}") from None
+        chosen = set(sorted(names)[::step])
+    else:
+        chosen = _listed(names, without)
     if not chosen or len(chosen) == len(set(names)):
         raise InputError(
             f"--without {without}: leaves out {len(chosen)} of {len(set(names))} photos: name some, not all"
         )
     return chosen
-
-
-def _every(names: Sequence[str], without: str) -> set[str]:
-
-    try:
-        step = whole(without.removeprefix(EVERY_PREFIX), least=2)
-    except argparse.ArgumentTypeError as error:
-        raise InputError(f"--without {without}: {error}") from None
-    return set(sorted(names)[::step])
 
 
 def _listed(names: Sequence[str], path: str) -> set[str]:
@@ -206,10 +203,10 @@ class Encoders:
         return "auto" if self.device in ("auto", "cuda") else "cpu"
 
 
-def near(title: str = "") -> Any:
+def near() -> Any:
     return option(
         "camera z of the near plane, in scene units; nothing nearer is seen (default: 0.2 as published, less for "
-        "scenes smaller than four units)", "UNITS", length, title=title,
+        "scenes smaller than four units)", "UNITS", length,
     )  # fmt: skip
 
 
@@ -264,7 +261,6 @@ def new_output(path: str, overwrite: bool, suffix: str = "") -> Path:
 
 
 def exists_already(path: str | Path) -> InputError:
-
     return InputError(f"{path} exists already: pass --overwrite to replace it, or name another output")
 
 

@@ -1,7 +1,5 @@
 """Kinds of files and folders that `drsplat inspect` knows: recognised by name and content, and how each is verified."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -115,8 +113,7 @@ def verified(path: Path) -> Verified:
 def _field(path: Path) -> Verified:
     from ...field.loading import verify_field
 
-    names = verify_field(path)
-    return names, "all files" if names else "read whole: fields of versions 1 and 2 have no checksums"
+    return verify_field(path), "all files"
 
 
 def _tiles(path: Path) -> Verified:

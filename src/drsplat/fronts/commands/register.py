@@ -172,7 +172,7 @@ def interrupted(options: Options) -> str:
 def _registered(options: Options, output: Path) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import folder_bytes, peak_memory_bytes
-    from ...field.building import AtOnce
+    from ...field.building import AT_ONCE
     from ...field.evidence.aggregation import aggregator
     from ...photos.embedding.growing import with_words
     from ...scene.moving import canonical_of
@@ -188,7 +188,7 @@ def _registered(options: Options, output: Path) -> Facts:
     shared: dict[str, Any] = {"threads": options.threads, "track": options.track}
     registration = _registration(inputs, known, sampling, parts, shared)
     watch.lap("register")
-    voting = how.voting is not None and isinstance(registration.coder, AtOnce)  # others have their tiles
+    voting = how.voting is not None and registration.coder is AT_ONCE  # others have their tiles
     gaussians = canonical_of(in_memory(inputs.scene)) if voting else None
     field = registration.to_field(inputs.code, aggregator=how, gaussians=gaussians, **shared)
     field = with_words(field, options.features)

@@ -39,8 +39,9 @@ def page_html(title: str, header: str, scene: str, blob: str) -> str:
         scene: SPZ, in base64.
         blob: arrays, deflated, in base64.
     """
+    header = header.replace("<", "\\u003c")  # so that nothing in it ends the script element that it is in
     data = (
-        f'<script type="application/json" id="header">{_in_script(header)}</script>\n'
+        f'<script type="application/json" id="header">{header}</script>\n'
         f'<script type="application/octet-stream" id="scene" data-name="scene.spz">{scene}</script>\n'
         f'<script type="application/octet-stream" id="blob">{blob}</script>'
     )
@@ -66,8 +67,3 @@ def client_file(name: str) -> str:
 def filled(template: str, parts: Mapping[str, str]) -> str:
     """Return the template with each @NAME@ replaced; what is put in is not looked through again."""
     return re.sub(r"@([A-Z]+)@", lambda match: parts[match[1]], template)
-
-
-def _in_script(text: str) -> str:
-    """Return JSON that cannot end the script element that it is in."""
-    return text.replace("<", "\\u003c")

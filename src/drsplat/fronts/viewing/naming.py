@@ -66,10 +66,21 @@ class Met(NamedTuple):
 
 def met_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> Met:
     """Return the Gaussians that a ray in the world meets, the nearest first."""
-    local = ray._replace(origin=ray.origin - gaussians.origin)
-    near = _near(gaussians, local)
+    origin, ahead = ray.origin - gaussians.origin, ray.direction
+    # those whose bounding sphere the ray passes: all that can be met, and few of the scene
+    offsets = gaussians.means - origin.astype(np.float32)
+    along = offsets @ ahead.astype(np.float32)
+    apart = np.einsum("ni,ni->n", offsets, offsets) - along**2
+    reach = REACH_DEVIATIONS * gaussians.scales.max(1)
+    near = np.flatnonzero((apart <= 1.01 * reach**2) & (along > -reach))
     near = near if visible is None else near[visible[near]]
-    depth, alpha = _met(gaussians.subset(near), local)
+    part = gaussians.subset(near)
+    axes = part.whitening()
+    start = np.einsum("nij,nj->ni", axes, origin - part.means.astype(np.float64))
+    step = axes @ ahead
+    depth = -np.einsum("ni,ni->n", start, step) / np.einsum("ni,ni->n", step, step)
+    at = start + depth[:, None] * step
+    alpha = part.opacities * np.exp(-0.5 * np.einsum("ni,ni->n", at, at))
     kept = (alpha >= MIN_ALPHA) & (depth > 0)
     order = np.flatnonzero(kept)[np.argsort(depth[kept], kind="stable")]
     return Met(near[order], depth[order], np.minimum(alpha[order], MAX_ALPHA))
@@ -83,26 +94,6 @@ def blended(met: Met, ray: Ray) -> Hit | None:
     ranked = np.argsort(-weights, kind="stable")
     point = ray.origin + met.depths[ranked[0]] * ray.direction
     return Hit(met.gaussian_ids[ranked], weights[ranked], point)
-
-
-def _near(gaussians: Gaussians, ray: Ray) -> RowIds:
-    """Return the Gaussians whose bounding sphere the ray passes: all that can be met, and few of the scene."""
-    offsets = gaussians.means - ray.origin.astype(np.float32)
-    along = offsets @ ray.direction.astype(np.float32)
-    apart = np.einsum("ni,ni->n", offsets, offsets) - along**2
-    reach = REACH_DEVIATIONS * gaussians.scales.max(1)
-    return np.flatnonzero((apart <= 1.01 * reach**2) & (along > -reach))
-
-
-def _met(part: Gaussians, ray: Ray) -> tuple[Doubles, Doubles]:
-    """Return depth along the ray of the densest place, and the opacity there."""
-    axes = part.whitening()
-    start = np.einsum("nij,nj->ni", axes, ray.origin - part.means.astype(np.float64))
-    step = axes @ ray.direction
-    depth = -np.einsum("ni,ni->n", start, step) / np.einsum("ni,ni->n", step, step)
-    at = start + depth[:, None] * step
-    alpha = part.opacities * np.exp(-0.5 * np.einsum("ni,ni->n", at, at))
-    return depth, alpha
 
 
 def inside_outline(splats: SplatArrays, view: View, outline: PlanePoints, *, threads: int = 0) -> RowIds:
@@ -150,22 +141,18 @@ def this_is(scene: Scene, hit: Hit, words: Sequence[str] | None = None) -> This:
     feature = scene.feature_of(first)
     alike = result_of(scene, "", scene.ask(Query(vector=feature)))
     holding = [match for match in alike.matches if first in match.gaussian_ids]
+    try:
+        named = scene.what_is(first, words or words_of(scene))
+    except DrSplatError:  # nobody embeds words here
+        named = []
     return This(
         first,
         hit.point,
-        named(scene, first, words),
+        named,
         [] if scene.field.evidence is None else scene.field.explain(first, feature, MAX_EVIDENCE_MASKS),
         holding[0] if holding else None,
         alike,
     )
-
-
-def named(scene: Scene, gaussian_id: int, words: Sequence[str] | None) -> list[Word]:
-    """Return the best words; none for a field whose encoder is not at hand."""
-    try:
-        return scene.what_is(gaussian_id, words or words_of(scene))
-    except DrSplatError:
-        return []
 
 
 def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:

@@ -95,22 +95,16 @@ def times_of_page(session: Session) -> PageTimes | None:
         )
     times = _evenly(times, MAX_MOVED_PLACES // count)
     order = np.argsort(~moves, kind="stable")
-    return _collected(session, times, order, count, len(known))
-
-
-def _collected(session: Session, times: Times, order: RowIds, count: int, num_known: int) -> PageTimes:
-    centers = np.empty((len(times), count, 3), np.float32)
-    covariances = np.empty((len(times), count, 6), np.float16)
-    opacities = np.empty((len(times), count), np.uint8)
-    for number, drawn in enumerate(_drawn(session, times)):
-        rows = order[:count]
-        centers[number], covariances[number] = drawn.centers[rows], drawn.covariances[rows]
-        opacities[number] = np.round(drawn.opacities[rows] * 255)
+    rows, kept = order[:count], []
+    for drawn in _drawn(session, times):
+        shapes = drawn.covariances[rows].astype(np.float16)
+        kept.append((drawn.centers[rows], shapes, np.round(drawn.opacities[rows] * 255).astype(np.uint8)))
+    centers, covariances, opacities = (np.stack(column) for column in zip(*kept, strict=True))
     seen = centers[opacities > 0]
     low, high = seen.min(0).astype(np.float64), seen.max(0).astype(np.float64)
     step = np.maximum((high - low) / STEPS_PER_AXIS, 1e-12)
     places = np.clip(np.round((centers - low) / step), 0, STEPS_PER_AXIS).astype(np.uint16)
-    return PageTimes(times, order, places, low, step, covariances, opacities, num_known)
+    return PageTimes(times, order, places, low, step, covariances, opacities, len(known))
 
 
 def playing_seconds(num_times: int) -> float:

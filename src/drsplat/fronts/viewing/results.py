@@ -113,12 +113,12 @@ def heat(results: Sequence[Result], count: int, rows: WholeNumbers | None = None
     for result in results:
         field = result.answer.field
         if rows is None:
-            at, own = field.gaussian_ids, slice(None)
+            at, warm = field.gaussian_ids, result.heat
         else:
-            found = field.rows_of(rows)
-            at = np.flatnonzero(found >= 0)
-            own = found[at]
-        warmest[at] = np.maximum(warmest[at], result.heat[own])
+            own = field.rows_of(rows)
+            at = np.flatnonzero(own >= 0)
+            warm = result.heat[own[at]]
+        warmest[at] = np.maximum(warmest[at], warm)
     return warmest
 
 

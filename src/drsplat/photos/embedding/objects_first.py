@@ -233,7 +233,7 @@ def node_fits(inside: csr_array, evidence: Evidence) -> csr_array:
         evidence: W of the same columns.
     """
     nodes = entry_rows(inside)
-    in_photos = shown_in_photos(inside, evidence)[nodes, evidence.masks.views[inside.indices]]
+    in_photos = shown_in_photos(inside, evidence.masks.views)[nodes, evidence.masks.views[inside.indices]]
     either = in_photos + _column_sums(evidence)[inside.indices] - inside.data
     return csr_array((inside.data / np.maximum(either, 1e-12), inside.indices, inside.indptr), shape=inside.shape)
 

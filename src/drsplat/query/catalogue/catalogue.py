@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
-from typing import NamedTuple
 
 import numpy as np
 
@@ -51,7 +50,7 @@ class Catalogue:
     threads: int = 0
     load: Load = load_encoder
     _encoder: Encoder | None = field(default=None, repr=False)
-    _usual: "_Calibration | None" = field(default=None, repr=False)
+    _usual: tuple[Snapshot, Surroundings] | None = field(default=None, repr=False)
     _rules: SceneRules = field(init=False, repr=False)
     _current: Snapshot | None = field(default=None, repr=False)
     _opening: Lock = field(default_factory=Lock, repr=False)
@@ -138,13 +137,11 @@ class Catalogue:
         """
         with claimed_output(self.path, PATIENCE_S):
             snapshot = self._snapshot()
-            scene = snapshot.scene_entry(name)
-            if scene is None and name in snapshot.contents.removed:
+            if name in snapshot.contents.removed:
                 return None
-            if scene is None:
-                raise InputError(f"{self.path}: there is no scene {name!r}; `drsplat catalogue list` tells all")
+            count = _entry_of(snapshot, name).num_objects
             remove_scene(snapshot, name)
-        return scene.num_objects
+        return count
 
     def scenes(self) -> list[SceneEntry]:
         """Return the scenes by name, and whether their fields have changed. Raises: FormatError: damaged."""
@@ -153,9 +150,7 @@ class Catalogue:
 
     def scene(self, name: str) -> Scene:
         """Open a scene from where it was added. Raises: InputError: no such scene, or nothing is there any more."""
-        entry = self._snapshot().scene_entry(name)
-        if entry is None:
-            raise InputError(f"{self.path}: there is no scene {name!r}; `drsplat catalogue list` tells all")
+        entry = _entry_of(self._snapshot(), name)
         if not entry.folder or not Path(entry.folder).exists():
             was = f"was added from {entry.folder}, where nothing is any more"
             raise InputError(f"'{name}' {was if entry.folder else 'was not added from a folder'}: add it again")
@@ -252,13 +247,13 @@ class Catalogue:
         One thread makes it and the others wait, as all need it.
         """
         with self._lock:
-            if self._usual is None or not self._usual.serves(snapshot):
+            if self._usual is None or not _hardly_changed(self._usual[0], snapshot):
                 # The first descriptors of objects spread over all
                 described = snapshot.spread(USUAL_SAMPLE)
                 firsts = described.starts[:-1][np.diff(described.starts) > 0]
                 surroundings = Surroundings(snapshot, lambda: self._embedder(snapshot), described.descriptors[firsts])
-                self._usual = _Calibration(snapshot.contents.changes, len(snapshot.all_rows), surroundings)
-            return self._usual.surroundings
+                self._usual = snapshot, surroundings
+            return self._usual[1]
 
     def _embedder(self, snapshot: Snapshot) -> Encoder:
         """Return the encoder of words, loaded once: a catalogue keeps its encoder for life."""
@@ -267,20 +262,20 @@ class Catalogue:
         return self._encoder
 
 
-class _Calibration(NamedTuple):
-    """Scores that are usual among the objects of a version, its number of changes and of objects."""
+def _hardly_changed(before: Snapshot, now: Snapshot) -> bool:
+    """Return whether what is usual among the objects of a version still is: of a large one after few changes."""
+    former, count = len(before.all_rows), len(now.all_rows)
+    changes = abs(now.contents.changes - before.contents.changes)
+    is_recent = changes <= (MAX_CHANGES if count > LARGE_ROWS else 0)
+    return is_recent and now.encoder == before.encoder and abs(count - former) * MIN_ROWS_PER_CHANGED_ROW <= former
 
-    changes: int
-    num_objects: int
-    surroundings: Surroundings
 
-    def serves(self, snapshot: Snapshot) -> bool:
-        """Return whether it still holds: for the same version, and for a large catalogue that has hardly changed."""
-        if snapshot.encoder != self.surroundings.embedded.encoder:
-            return False  # another catalogue
-        count, changes = len(snapshot.all_rows), abs(snapshot.contents.changes - self.changes)
-        is_recent = changes <= (0 if count <= LARGE_ROWS else MAX_CHANGES)
-        return is_recent and abs(count - self.num_objects) * MIN_ROWS_PER_CHANGED_ROW <= self.num_objects
+def _entry_of(snapshot: Snapshot, name: str) -> SceneEntry:
+    """Return what is known of a scene. Raises: InputError: there is none of that name."""
+    entry = snapshot.scene_entry(name)
+    if entry is None:
+        raise InputError(f"{snapshot.path}: there is no scene {name!r}; `drsplat catalogue list` tells all")
+    return entry
 
 
 def _check_folder(snapshot: Snapshot, name: str, folder: str) -> None:

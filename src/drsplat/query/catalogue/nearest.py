@@ -101,18 +101,10 @@ def _candidates(snapshot: Snapshot, search: Search, allowed: Indices) -> OtherIn
 
 
 def _top(snapshot: Snapshot, search: Search, count: int) -> Indices:
-    """Return the rows of the `count` best descriptors, best first; the largest part sets what others must reach."""
-    rows, scores, codes = np.empty(0, np.int64), np.empty(0, np.float32), snapshot.codes or []
-    for at in sorted(range(len(codes)), key=lambda at: -len(codes[at])):
-        code, threads = codes[at], search.threads if len(codes[at]) >= ROWS_OF_THREADS else 1
-        is_full = len(scores) >= count > 0
-        hits = (
-            code.select(search.vector, scores[-1], threads=threads)
-            if is_full
-            else code.top(search.vector, count, threads=threads)
-        )
-        own = np.searchsorted(snapshot.parts[at].starts["p"], hits.rows, "right") - 1
-        scores = np.concatenate([scores, hits.scores])
-        best = np.argsort(-scores, kind="stable")[:count]
-        rows, scores = np.concatenate([rows, snapshot.firsts[at] + own])[best], scores[best]
-    return rows
+    """Return the rows of the `count` best descriptors, best first."""
+    rows, scores = [np.empty(0, np.int64)], [np.empty(0, np.float32)]
+    for first, part, code in zip(snapshot.firsts.tolist(), snapshot.parts, snapshot.codes or (), strict=False):
+        hits = code.top(search.vector, count, threads=search.threads if len(code) >= ROWS_OF_THREADS else 1)
+        rows.append(first + np.searchsorted(part.starts["p"], hits.rows, "right") - 1)
+        scores.append(hits.scores)
+    return np.concatenate(rows)[np.argsort(-np.concatenate(scores), kind="stable")[:count]]

@@ -113,10 +113,10 @@ class Part:
             lengths["o"] = np.array([scene.num_objects for scene in scenes], np.int64)
             starts = {axis: np.append(0, np.cumsum(counts, dtype=np.int64)) for axis, counts in lengths.items()}
             fits = all(len(arrays[name]) == starts.get(axis[0], [len(scenes)])[-1] for name, (_, axis) in ROWS.items())
-            if not fits or arrays["descriptors"].shape[1] != dim:
-                raise FormatError(f"{where}: expected the objects of {len(scenes)} scenes, of {dim} dimensions")
-            if arrays["centers"].shape[1] != 3:
-                raise FormatError(f"{where}: centers: expected three coordinates")
+            if not fits or (arrays["descriptors"].shape[1], arrays["centers"].shape[1]) != (dim, 3):
+                raise FormatError(
+                    f"{where}: expected boxes of the objects of {len(scenes)} scenes, and descriptors of {dim} numbers"
+                )
         except (FormatError, InputError) as error:
             raise FormatError(f"{error}: {CURE}") from error
         return cls(where, scenes, arrays, starts)
@@ -127,8 +127,9 @@ class Part:
     def scene(self, number: int) -> Arrays:
         """Return all arrays of one scene."""
         begin, end = self.starts["o"][number : number + 2].tolist()
-        bounds = {"o": (begin, end), "s": (number, number + 1), "k": self.starts["k"][number : number + 2]}
-        bounds |= {axis: self.starts[axis][[begin, end]] for axis in "prt"}
+        bounds = {axis: self.starts[axis][[begin, end]] for axis in "prt"}
+        bounds |= {"o": np.array([begin, end]), "s": np.array([number, number + 1])}
+        bounds["k"] = self.starts["k"][number : number + 2]
         return {name: self.arrays[name][slice(*bounds[axis[0]])] for name, (_, axis) in ROWS.items()}
 
     def row(self, scene: int, object_id: int) -> int | None:
@@ -212,13 +213,28 @@ class Snapshot:
         ]
 
     @cached_property
-    def codes(self) -> list[PQCode] | None:
-        """Codes of each part's descriptors; None without an index. Raises: FormatError: damaged."""
+    def codebook(self) -> Codebook | None:
+        """Codebook of the index; None without one. Raises: FormatError: damaged."""
         file = self.contents.codebook
         if file is None:
             return None
         try:
-            codebook = self._open(file, self._read_codebook)
+            codebook = self._open(file, lambda file: load_codebook(self.path / file.name))
+        except (FormatError, InputError) as error:
+            raise FormatError(f"{error}: {CODES_CURE}") from error
+        if not self.encoder.matches(codebook.encoder):
+            raise FormatError(
+                f"{file.name}: a codebook of {codebook.encoder.name}, not of this catalogue's encoder: {CODES_CURE}"
+            )
+        return codebook
+
+    @cached_property
+    def codes(self) -> list[PQCode] | None:
+        """Codes of each part's descriptors; None without an index. Raises: FormatError: damaged."""
+        codebook = self.codebook
+        if codebook is None:
+            return None
+        try:
             pairs = zip(self.contents.parts, self.parts, strict=True)
             return [self._codes_of(entry.codes, codebook, part) for entry, part in pairs]
         except (FormatError, InputError) as error:
@@ -228,12 +244,6 @@ class Snapshot:
         if file.name not in self.opened:
             self.opened[file.name] = read(file)
         return self.opened[file.name]  # type: ignore[return-value]
-
-    def _read_codebook(self, file: FileEntry) -> Codebook:
-        codebook = load_codebook(self.path / file.name)
-        if not self.encoder.matches(codebook.encoder):
-            raise FormatError(f"{file.name}: a codebook of {codebook.encoder.name}, not of this catalogue's encoder")
-        return codebook
 
     def _codes_of(self, file: FileEntry | None, codebook: Codebook, part: Part) -> PQCode:
         if file is None:

@@ -10,21 +10,17 @@ from .encoding import (
     DEFAULT_ATOMS_PER_ROW,
     Mixed,
     MixtureSource,
-    assemble,
-    atoms_by_use,
     encode_mixture,
     encode_rows,
     encode_with,
-    fits_at_once,
     learn_scene_atoms,
-    left_in,
-    plan_of,
+    mixed_of,
     regrown_mixture,
 )
 from .scene_atoms import SceneAtoms, train_scene_atoms
 
 __all__ = [
-    "DEFAULT_ATOMS_PER_ROW", "AtomTable", "Mixed", "MixtureCode", "MixtureSource", "Part", "SceneAtoms", "assemble",
-    "atoms_by_use", "encode_mixture", "encode_rows", "encode_with", "fits_at_once", "learn_scene_atoms", "left_in",
-    "mixture_from_tensors", "plan_of", "quantised", "recoded", "regrown_mixture", "train_scene_atoms",
+    "DEFAULT_ATOMS_PER_ROW", "AtomTable", "Mixed", "MixtureCode", "MixtureSource", "Part", "SceneAtoms",
+    "encode_mixture", "encode_rows", "encode_with", "learn_scene_atoms", "mixed_of", "mixture_from_tensors",
+    "quantised", "recoded", "regrown_mixture", "train_scene_atoms",
 ]  # fmt: skip

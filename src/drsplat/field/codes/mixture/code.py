@@ -30,7 +30,7 @@ from ....kernels.mixture import (
     mixture_top,
 )
 from ..code import Best, Code, Hits, check_run
-from ..codebook import BLOCK_ROWS, Codebook, Codes
+from ..codebook import Codebook
 from ..pq_code import PQCode, pq_code
 from .dictionary import AtomTable
 
@@ -202,11 +202,8 @@ def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> PQCode:
     """
     if codebook.dim != code.dim:
         raise InputError(f"a codebook of {codebook.dim} numbers for features of {code.dim}")
-    codes = np.empty((len(code), codebook.num_subvectors), np.uint8)
-    coarse_ids = None if codebook.coarse is None else np.empty(len(code), np.uint16)
-    for begin in range(0, len(code), BLOCK_ROWS):
-        block = np.arange(begin, min(begin + BLOCK_ROWS, len(code)))
-        codes[block], nearest = codebook.encode(code.decode(block), threads=threads)
-        if coarse_ids is not None and nearest is not None:
-            coarse_ids[block] = nearest
-    return pq_code(codebook, Codes(codes, coarse_ids))
+
+    def features(begin: int, end: int) -> Embeddings:
+        return code.decode(np.arange(begin, end))
+
+    return pq_code(codebook, codebook.encode_blocks(len(code), features, threads=threads))

@@ -1,5 +1,6 @@
 """Rows of W to a mixture code, a block of rows at a time: there is never a dense matrix of all features."""
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -39,12 +40,6 @@ class MixtureSource(Protocol):
     def embeddings(self) -> Embeddings: ...
     def __len__(self) -> int: ...
     def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings: ...
-
-
-@runtime_checkable
-class SourceOfSome(MixtureSource, Protocol):
-    """Source whose rows can be taken out."""
-
     def rows(self, index: WholeNumbers) -> "MixtureSource": ...
 
 
@@ -55,17 +50,8 @@ class Mixed(NamedTuple):
     scene_places: Ids
 
 
-class Plan(NamedTuple):
-    """Atoms to encode with. positions: of each column's atom, -1 for none. first_scene: of the first scene atom."""
-
-    dictionary: Dictionary
-    positions: Ids
-    scene: SceneAtoms | None
-    first_scene: int
-
-
 def encode_mixture(
-    source: SourceOfSome,
+    source: MixtureSource,
     atoms_per_row: int = DEFAULT_ATOMS_PER_ROW,
     *,
     scene_atoms: int | SceneAtoms | None = None,
@@ -94,24 +80,27 @@ def encode_with(
         raise InputError(f"expected 1 to {MAX_ATOMS_PER_ROW} atoms per row, got {atoms_per_row}")
     if not len(source) or not len(source.embeddings):
         raise InputError(f"no code of {len(source)} rows and {len(source.embeddings)} masks")
-    columns = np.arange(len(source.embeddings), dtype=np.int32)
-    while True:
-        plan = plan_of(source.embeddings, columns, scene)
-        encoded = encode_rows(source, plan, atoms_per_row, threads=threads, track=track)
-        used = atoms_by_use(encoded)
-        if len(used) <= MAX_ATOMS:
-            return assemble(encoded, plan, columns, used)
-        columns = columns[left_in(used, plan.first_scene, scene)]
+
+    def encode(columns: Ids | None) -> Encoded:
+        return encode_rows(source, columns, scene, atoms_per_row, threads=threads, track=track)
+
+    return mixed_of(encode, source.embeddings, scene)
 
 
-def left_in(used: OtherIndices, masks: int, scene: SceneAtoms | None) -> Ids:
-    """Return the most used of the first `masks` atoms that can be addressed beside all of the scene's; ascending."""
-    own = used[used < masks][: MAX_ATOMS - (len(scene) if scene else 0)]
-    return np.sort(own).astype(np.int32)
+def mixed_of(encode: Callable[[Ids | None], Encoded], embeddings: Embeddings, scene: SceneAtoms | None) -> Mixed:
+    """Return the code of rows that are encoded with all masks, or with the most used of them, as many as fit.
+
+    encode: see `encode_rows`, given its `columns`.
+    """
+    encoded = encode(None)
+    while len(used := atoms_by_use(encoded)) > MAX_ATOMS:
+        own = used[used < len(embeddings)][: MAX_ATOMS - len(scene or ())]
+        encoded = encode(np.sort(own).astype(np.int32))
+    return assemble(encoded, used, embeddings, scene)
 
 
 def learn_scene_atoms(
-    source: SourceOfSome, wanted: int | None = None, *, seed: int = 0, threads: int = 0
+    source: MixtureSource, wanted: int | None = None, *, seed: int = 0, threads: int = 0
 ) -> SceneAtoms | None:
     """Learn typical features of rows; None where none are wanted or no row has a feature.
 
@@ -132,37 +121,40 @@ def learn_scene_atoms(
     return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
 
 
-def plan_of(embeddings: OtherEmbeddings, columns: Ids, scene: SceneAtoms | None) -> Plan:
-    """Return a plan of the atoms of some columns, followed by those of the scene."""
-    parts = [quantised(embeddings[columns])] + ([scene.coded] if scene else [])
-    values, scales = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    positions = np.full(len(embeddings), -1, np.int32)
-    positions[columns] = np.arange(len(columns), dtype=np.int32)
-    return Plan(Dictionary(values, scales), positions, scene, len(columns))
-
-
 def encode_rows(
-    source: MixtureSource, plan: Plan, atoms_per_row: int, *, threads: int = 0, track: Track = untracked
-) -> Encoded:
-    """Encode each row by itself: the same to the bit whatever rows are coded with it."""
-    rows = len(source)
+    source: MixtureSource, columns: OtherIds | None, scene: SceneAtoms | None, atoms_per_row: int, *,
+    threads: int = 0, track: Track = untracked,
+) -> Encoded:  # fmt: skip
+    """Encode each row by itself: the same to the bit whatever rows are coded with it.
+
+    columns: whose embeddings may be atoms; None: all. Ids of the result are columns, then atoms of the scene.
+    """
+    rows, masks = len(source), len(source.embeddings)
+    held = np.zeros(masks, bool)
+    held[source.weights.indices] = True
+    own = np.flatnonzero(held) if columns is None else columns[held[columns]]
+    parts = [quantised(source.embeddings[own])] + ([scene.coded] if scene else [])
+    dictionary = Dictionary(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    number = np.full(masks, -1, np.int32)
+    number[own] = np.arange(len(own), dtype=np.int32)
     ids = np.empty((rows, atoms_per_row), np.int32)
     weights, scales = np.empty((rows, atoms_per_row), np.uint8), np.empty(rows, np.float32)
     for begin in track(range(0, rows, BLOCK_ROWS), "coding Gaussians"):
         block = slice(begin, min(begin + BLOCK_ROWS, rows))
         features = source.features(block.start, block.stop, threads=threads)
         indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
-        atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
+        atoms = number[source.weights.indices[indptr[0] : indptr[-1]]]
         kept = np.concatenate([[0], np.cumsum(atoms >= 0)])
         further = np.empty((len(features), 0), np.int32)
-        if plan.scene is not None:
-            further = plan.scene.near(features, threads=threads) + np.int32(plan.first_scene)
+        if scene is not None:
+            further = scene.near(features, threads=threads) + np.int32(len(own))
         candidates = Candidates(kept[indptr - indptr[0]], atoms[atoms >= 0], further)
         ids[block], weights[block], scales[block] = mixture_encode(
-            features, plan.dictionary, candidates, atoms_per_row, threads=threads
+            features, dictionary, candidates, atoms_per_row, threads=threads
         )
         release(source.weights.indices, source.weights.data)
-    return Encoded(ids, weights, scales)
+    names = np.concatenate([own, masks + np.arange(len(scene or ())), [0]]).astype(np.int32)  # 0: of no atom
+    return Encoded(names[ids], weights, scales)
 
 
 def atoms_by_use(encoded: Encoded) -> Indices:
@@ -173,18 +165,19 @@ def atoms_by_use(encoded: Encoded) -> Indices:
     return order[uses[order] > 0]
 
 
-def assemble(encoded: Encoded, plan: Plan, columns: OtherIds, used: Indices) -> Mixed:
+def assemble(encoded: Encoded, used: Indices, embeddings: OtherEmbeddings, scene: SceneAtoms | None) -> Mixed:
     """Return the code of the rows with the atoms that they use; parts without weight name the first atom."""
     kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
-    is_mask = kept < plan.first_scene
-    masks = np.where(is_mask, columns[np.minimum(kept, len(columns) - 1)], SCENE_ATOM)
-    places = np.zeros(len(plan.dictionary.scales), np.uint16)
-    places[kept] = np.arange(len(kept), dtype=np.uint16)
-    dictionary = Dictionary(plan.dictionary.values[kept], plan.dictionary.scales[kept])
-    atoms = AtomTable(dictionary, masks.astype(np.int32))
-    ids = np.where(encoded.weights > 0, places[encoded.ids], 0).astype(np.uint16)
-    scene_places = (kept[~is_mask] - plan.first_scene).astype(np.int32)
-    return Mixed(MixtureCode(packed(ids, encoded.weights, encoded.scales), atoms), scene_places)
+    is_mask = kept < len(embeddings)
+    places = kept[~is_mask] - len(embeddings)
+    parts = [quantised(embeddings[kept[is_mask]])] + ([Dictionary(*(a[places] for a in scene.coded))] if scene else [])
+    order = np.argsort(np.argsort(~is_mask, kind="stable"))  # masks come first in these
+    dictionary = Dictionary(*(np.concatenate(arrays)[order] for arrays in zip(*parts, strict=True)))
+    atoms = AtomTable(dictionary, np.where(is_mask, kept, SCENE_ATOM).astype(np.int32))
+    number = np.zeros(len(embeddings) + len(scene or ()), np.uint16)
+    number[kept] = np.arange(len(kept), dtype=np.uint16)
+    ids = np.where(encoded.weights > 0, number[encoded.ids], 0).astype(np.uint16)
+    return Mixed(MixtureCode(packed(ids, encoded.weights, encoded.scales), atoms), places.astype(np.int32))
 
 
 class Regrown(NamedTuple):
@@ -192,11 +185,6 @@ class Regrown(NamedTuple):
 
     mixed: Mixed
     directed: Flags
-
-
-def fits_at_once(num_masks: int, scene: SceneAtoms | None) -> bool:
-    """Return whether all atoms can be addressed at once, so that no column is ever left out."""
-    return num_masks + (len(scene) if scene else 0) <= MAX_ATOMS
 
 
 def regrown_mixture(
@@ -215,18 +203,15 @@ def regrown_mixture(
     scene: the atoms that both are coded with. columns: the new number of each old column that the kept rows use.
     keys: of the kept rows, then of those of `source`: rows come in their order.
     """
-    every = np.arange(len(source.embeddings), dtype=np.int32)
-    plan = plan_of(source.embeddings, every, scene)
-    # rows of an older code with the atoms' numbers of the new plan
     masks = before.code.atoms.masks
     atoms = columns[masks]
-    atoms[masks == SCENE_ATOM] = before.scene_places + np.int32(plan.first_scene)
+    atoms[masks == SCENE_ATOM] = before.scene_places + np.int32(len(source.embeddings))
     ids, weights, scales = before.code.unpacked(kept)
     old = Encoded(atoms[ids], weights, scales.astype(np.float32))
-    new = encode_rows(source, plan, before.code.atoms_per_row, threads=threads, track=track)
+    new = encode_rows(source, None, scene, before.code.atoms_per_row, threads=threads, track=track)
     directed = new.scales.astype(np.float16) > 0
     rows = np.concatenate([np.ones(len(kept), np.bool_), directed])
     order = np.argsort(keys, kind="stable")
     places = order[rows[order]]
     encoded = Encoded(*(np.concatenate(pair)[places] for pair in zip(old, new, strict=True)))
-    return Regrown(assemble(encoded, plan, every, atoms_by_use(encoded)), directed)
+    return Regrown(assemble(encoded, atoms_by_use(encoded), source.embeddings, scene), directed)

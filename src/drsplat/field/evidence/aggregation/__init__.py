@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .aggregators import AGGREGATORS, MEAN, Aggregated, Aggregator, Step, aggregator
-    from .record import MEAN_RECORD, AggregatorRecord, Sampling, record_from_json, record_json
+    from .record import MEAN_RECORD, AggregatorRecord, Sampling, record_from_json
 
 _HOMES = {
     "aggregators": ("AGGREGATORS", "MEAN", "Aggregated", "Aggregator", "Step", "aggregator"),
-    "record": ("MEAN_RECORD", "AggregatorRecord", "Sampling", "record_from_json", "record_json"),
+    "record": ("MEAN_RECORD", "AggregatorRecord", "Sampling", "record_from_json"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGGREGATORS", "MEAN", "MEAN_RECORD", "Aggregated", "Aggregator", "AggregatorRecord", "Sampling", "Step",
-    "aggregator", "record_from_json", "record_json",
+    "aggregator", "record_from_json",
 ]  # fmt: skip
 
 

@@ -19,13 +19,13 @@ from ....base.arrays import (
     DoubleRows,
     Embeddings,
     Flags,
-    Float64,
     IndexRows,
     Indices,
     Int64,
     Integer,
     Numbers,
     OtherEmbeddings,
+    OtherFlags,
     OtherIndices,
     WholeNumbers,
 )
@@ -58,18 +58,7 @@ class RowBlock:
         return table.take(self.columns[: self.active[entry], entry], axis=0)
 
 
-def row_block(weights: csr_array, rows: Indices) -> RowBlock:
-    """Return the entries of some rows as tables; rows must come by falling length, none of them empty."""
-    starts = weights.indptr[rows].astype(np.int64)
-    lengths = weights.indptr[rows + 1] - starts
-    entries = np.arange(lengths[0])
-    filled = entries < lengths[:, None]
-    positions = np.where(filled, starts[:, None] + entries, starts[0])
-    values = np.where(filled, weights.data[positions].astype(np.float64), 0.0)
-    return RowBlock(positions, weights.indices[positions], values, filled.sum(0))
-
-
-Rule = Callable[[RowBlock], Float64[np.ndarray, "n k"]]
+Rule = Callable[[RowBlock], DoubleRows]
 """A number per entry of a block."""
 
 
@@ -90,7 +79,12 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Numbers:
     order = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
 
     def work(rows: Indices) -> None:
-        block = row_block(weights, rows)
+        starts = weights.indptr[rows].astype(np.int64)
+        entries = np.arange(lengths[rows[0]])
+        filled = entries < lengths[rows, None]
+        positions = np.where(filled, starts[:, None] + entries, starts[0])
+        held = np.where(filled, weights.data[positions].astype(np.float64), 0.0)
+        block = RowBlock(positions, weights.indices[positions], held, filled.sum(0))
         values[block.positions[block.filled]] = rule(block)[block.filled]
 
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
@@ -98,7 +92,7 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Numbers:
     return values
 
 
-def _blocks(order: OtherIndices, lengths: WholeNumbers) -> Iterator[Int64[np.ndarray, " b"]]:
+def _blocks(order: OtherIndices, lengths: WholeNumbers) -> Iterator[Indices]:
     """Yield rows by falling length in blocks of at most BLOCK_ROWS, and BLOCK_CELLS entries unless one row has more."""
     begin = 0
     while begin < len(order):
@@ -110,14 +104,15 @@ def _blocks(order: OtherIndices, lengths: WholeNumbers) -> Iterator[Int64[np.nda
 def with_weights(evidence: Evidence, data: Numbers) -> Evidence:
     """Return the evidence with other weights of the same entries; entries of weight 0 are dropped."""
     old = evidence.weights
+    matrix = csr_array((data, old.indices, old.indptr), shape=old.shape)
     kept = data > 0
-    if kept.all():
-        matrix = csr_array((data, old.indices, old.indptr), shape=old.shape)
-    else:
-        before = np.concatenate([[0], np.cumsum(kept)])
-        indptr = before[old.indptr].astype(old.indptr.dtype)
-        matrix = csr_array((data[kept], old.indices[kept], indptr), shape=old.shape)
-    return replace(evidence, weights=matrix)
+    return replace(evidence, weights=matrix if kept.all() else with_entries(matrix, kept))
+
+
+def with_entries(matrix: csr_array, held: OtherFlags) -> csr_array:
+    """Return a matrix of some of the entries alone."""
+    starts = np.append(0, np.cumsum(held))[matrix.indptr].astype(matrix.indptr.dtype)
+    return csr_array((matrix.data[held], matrix.indices[held], starts), shape=matrix.shape)
 
 
 def row_chunks(weights: csr_array) -> Iterator[slice]:
@@ -164,17 +159,17 @@ def canonical(evidence: Evidence) -> Evidence:
 
     Registrations are sorted, evidence made by hand may not be; sorted evidence is returned as it is.
     """
-    masks, weights = evidence.masks, evidence.weights
-    names = sorted(masks.view_names)
-    rank = {name: i for i, name in enumerate(names)}
-    views = np.array([rank[name] for name in masks.view_names], np.int32)[masks.views]
-    order = np.lexsort((masks.ids, views))
+    weights = evidence.weights
+    masks, order = by_name(evidence.masks)
     if (np.diff(order) == 1).all() and weights.has_sorted_indices:
         return evidence
     columns = csr_array(weights[:, order])
     columns.sort_indices()
-    by_name = np.argsort(np.array(masks.view_names, object), kind="stable")
-    times = None if masks.times is None else masks.times[by_name]
-    rendered = tuple(masks.sources[at] for at in by_name) if masks.rendered_from else ()
-    ordered = MaskIds(tuple(names), views[order], masks.ids[order], times, rendered)
-    return Evidence(columns, ordered, evidence.embeddings[order])
+    return Evidence(columns, masks, evidence.embeddings[order])
+
+
+def by_name(masks: MaskIds) -> tuple[MaskIds, Indices]:
+    """Return the masks by view name, then mask id, and which columns they are."""
+    views = np.argsort(np.array(masks.view_names, object), kind="stable")
+    order = np.lexsort((masks.ids, np.argsort(views)[masks.views]))
+    return masks.taken(views, order), order

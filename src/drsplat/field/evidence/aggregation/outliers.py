@@ -27,21 +27,16 @@ class OutlierRejection:
     least: float = 0.05
 
     def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
-        table = evidence.embeddings
 
         def rule(block: RowBlock) -> DoubleRows:
-            dropped = self._is_outlier(block, agreements(block, table))
-            return np.where(dropped, 0, block.weights)
+            agreement = agreements(block, evidence.embeddings)
+            middle = weighted_medians(agreement, block.weights)
+            spread = MAD_OF_NORMAL * weighted_medians(np.abs(agreement - middle[:, None]), block.weights)
+            least = middle - np.maximum(self.least, self.deviations * spread)
+            many = block.filled.sum(1) > 2
+            return np.where((agreement < least[:, None]) & many[:, None], 0, block.weights)
 
         return reweighted(evidence, rule, threads)
-
-    def _is_outlier(self, block: RowBlock, agreement: DoubleRows) -> np.ndarray:
-        middle = weighted_medians(agreement, block.weights)
-        distance = np.abs(agreement - middle[:, None])
-        spread = MAD_OF_NORMAL * weighted_medians(distance, block.weights)
-        allowed = np.maximum(self.least, self.deviations * spread)
-        many = block.filled.sum(1) > 2
-        return (agreement < (middle - allowed)[:, None]) & many[:, None]
 
 
 def agreements(block: RowBlock, table: OtherEmbeddings) -> DoubleRows:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import DoubleRows, Doubles, Integer, Numbers, RowIds, WholeNumbers
+from ....base.arrays import DoubleRows, Doubles, Integer, RowIds, WholeNumbers
 from ..evidence import Evidence
 from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, with_weights
 from .outliers import agreements
@@ -34,7 +34,9 @@ class MaskTrust:
 
     def trust(self, counted: "Tally") -> Doubles:
         """Return the trust in each mask. counted: over all rows."""
-        return np.exp(self.sharpness * counted.means)
+        none = np.zeros(len(counted.weights))
+        means = np.divide(counted.surpluses, counted.weights, out=none, where=counted.weights > 0)
+        return np.exp(self.sharpness * means)
 
     def weighed(self, evidence: Evidence, trust: Doubles) -> Evidence:
         """Return the evidence of some rows, weighed by the trust in masks; a row depends on itself alone."""
@@ -44,7 +46,12 @@ class MaskTrust:
             entries = slice(weights.indptr[rows.start], weights.indptr[rows.stop])
             columns = weights.indices[entries]
             runs = _runs(views[columns], weights.indptr[rows.start : rows.stop + 1] - entries.start)
-            changed[entries] = _by_photo(weights.data[entries], trust[columns], runs)
+            if len(columns):  # multiply by the mean trust of each photo's masks in each row
+                votes = weights.data[entries]
+                held = np.add.reduceat(votes.astype(np.float64), runs)
+                trusted = np.add.reduceat(votes * trust[columns], runs)
+                mean = np.divide(trusted, held, out=np.zeros(len(runs)), where=held > 0)
+                changed[entries] = votes * np.repeat(mean, np.diff(np.append(runs, len(votes))))
         return with_weights(evidence, changed)
 
 
@@ -56,12 +63,6 @@ class Tally(NamedTuple):
 
     surpluses: Doubles
     weights: Doubles
-
-    @property
-    def means(self) -> Doubles:
-        """How much better each mask agrees than the other votes of its Gaussians; 0 where there are none."""
-        none = np.zeros(len(self.weights))
-        return np.divide(self.surpluses, self.weights, out=none, where=self.weights > 0)
 
 
 def tally(evidence: Evidence, threads: int = 0) -> Tally:
@@ -94,14 +95,3 @@ def _runs(views: RowIds, starts: WholeNumbers) -> Integer[np.ndarray, " p"]:
     new[1:-1] = views[1:] != views[:-1]
     new[starts] = True
     return np.flatnonzero(new[:-1])
-
-
-def _by_photo(weights: Numbers, trust: Doubles, runs: RowIds) -> Doubles:
-    """Multiply the weights of each photo in each row by the mean trust of its masks there."""
-    if not len(weights):
-        return np.zeros(0)
-    held = np.add.reduceat(weights.astype(np.float64), runs)
-    trusted = np.add.reduceat(weights * trust, runs)
-    mean = np.divide(trusted, held, out=np.zeros(len(runs)), where=held > 0)
-    lengths = np.diff(np.append(runs, len(weights)))
-    return weights * np.repeat(mean, lengths)

@@ -12,16 +12,12 @@ from ....base.arrays import (
     Doubles,
     Embeddings,
     Flags,
-    Float32,
-    Float64,
     Ids,
     IndexRows,
     Indices,
-    Int64,
-    Integer,
-    OtherDoubles,
     OtherFlags,
     OtherIndices,
+    Vectors,
     WholeNumbers,
 )
 from ....kernels import weighted_rows
@@ -33,7 +29,6 @@ PARTS_PER_ONE = float(1 << 21)  # products of two are sums of 2^-42, and 2^53 of
 SPARE_NEIGHBOURS = 4  # more than are asked for, as equally near ones come in no order
 RECEIVERS_AT_ONCE = 512  # near each other: they share most neighbours
 
-Points = Float32[np.ndarray, "r 3"]
 ROWS_AT_ONCE = 8192
 
 
@@ -93,29 +88,22 @@ class ModeVoting:
         # put rows among their own candidates; one that many others coincide with may be missing there
         absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(1)
         candidates[absent, 0] = rows[absent]
-        close = _closeness(voters.distances) * np.minimum(1, sizes[candidates] / sizes[rows, None])
+        middle = voters.distances[:, voters.distances.shape[1] // 2, None]
+        near = np.exp(-0.5 * (voters.distances / np.where(middle > 0, middle, 1.0)) ** 2)
+        close = near * np.minimum(1, sizes[candidates] / sizes[rows, None])
         # g of all pairs of candidates of each row, from one table of all pairs
         whole = np.rint(features.astype(np.float64) * PARTS_PER_ONE)
         cosines = (whole @ whole.T) / PARTS_PER_ONE**2
         pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
-        best = self._best(trust, rows, candidates, close, np.asarray(np.exp((pairs - 1) / self.bandwidth)))
-        return np.where(best >= 0, voters.present[best], -1)
-
-    def _best(
-        self,
-        trust: OtherDoubles,
-        rows: Indices,
-        candidates: IndexRows,
-        close: DoubleRows,
-        alike: Float64[np.ndarray, "n k k"],
-    ) -> Indices:
+        alike = np.exp((pairs - 1) / self.bandwidth)
         believed = trust[candidates] * close
         support = trust[candidates] * (alike * believed[:, None, :]).sum(2)
         own = np.where(candidates == rows[:, None], support, 0).max(1)
         best = support.argmax(1)[:, None]
         wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * (1 + SUPPORT_TOLERANCE) * own
         taken = np.take_along_axis(candidates, best, 1)[:, 0]
-        return np.where(wins, taken, np.where(trust[rows] > 0, rows, -1))
+        elected = np.where(wins, taken, np.where(trust[rows] > 0, rows, -1))
+        return np.where(elected >= 0, voters.present[elected], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +126,7 @@ def footprints(gaussians: Gaussians) -> Doubles:
     return np.maximum(sides[:, 1] * sides[:, 2], np.finfo(np.float64).tiny)
 
 
-def _near_each_other(tree: cKDTree, means: Points, receivers: OtherIndices, threads: int) -> Iterator[Indices]:
+def _near_each_other(tree: cKDTree, means: Vectors, receivers: OtherIndices, threads: int) -> Iterator[Indices]:
     """Yield the receivers in the order of the tree's leaves, in blocks."""
     rank = np.empty(tree.n, np.int64)
     rank[tree.indices] = np.arange(tree.n)
@@ -147,24 +135,17 @@ def _near_each_other(tree: cKDTree, means: Points, receivers: OtherIndices, thre
     yield from (ordered[begin : begin + RECEIVERS_AT_ONCE] for begin in range(0, len(ordered), RECEIVERS_AT_ONCE))
 
 
-def nearest(tree: cKDTree, points: Points, count: int, threads: int) -> tuple[DoubleRows, IndexRows]:
+def nearest(tree: cKDTree, points: Vectors, count: int, threads: int) -> tuple[DoubleRows, IndexRows]:
     """Return distances and indices of the nearest points of the tree, nearest first; equally near ones by index."""
     more = min(count + SPARE_NEIGHBOURS, tree.n)
     distances, near = tree.query(points, k=np.arange(1, more + 1), workers=threads or -1)
     return nearest_first(distances, near, count)
 
 
-def nearest_first(
-    distances: Float64[np.ndarray, "b k"], near: Integer[np.ndarray, "b k"], count: int
-) -> tuple[Float64[np.ndarray, "b n"], Int64[np.ndarray, "b n"]]:
+def nearest_first(distances: DoubleRows, near: IndexRows, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return up to `count` of the nearest of each row, nearest first; equally near ones by index."""
     order = np.lexsort((near, distances), axis=1)[:, :count]
     return np.take_along_axis(distances, order, 1), np.take_along_axis(near, order, 1)
-
-
-def _closeness(distances: DoubleRows) -> DoubleRows:
-    middle = distances[:, distances.shape[1] // 2, None]
-    return np.exp(-0.5 * (distances / np.where(middle > 0, middle, 1.0)) ** 2)
 
 
 def resultant_lengths(evidence: Evidence, threads: int = 0) -> Doubles:

@@ -3,7 +3,7 @@
 Source of the names and shapes: docs/viewer_service.md, "For other clients".
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
@@ -25,8 +25,11 @@ from .shared import Shared
 
 T = TypeVar("T")
 LASSO_SIDE_PIXELS = 640
-Finish = Callable[[], str | None]
-"""The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
+Steps = Iterator[str | None]
+"""A slow act: up to its first `yield` in the session's thread, up to the second beside it, the rest in it again.
+
+Beside the session it touches nothing that is shown. At last it yields what is to be said, as `Act.do` returns it.
+"""
 
 
 class Act(Strict):
@@ -44,31 +47,26 @@ class Act(Strict):
 class SlowAct(Act):
     """An act whose work is done beside the session, which answers meanwhile as it was before."""
 
-    def begin(self, shared: Shared) -> Callable[[], Finish]:
-        """Return the work, which touches nothing that is shown; what it returns in turn shows the result."""
+    def steps(self, shared: Shared) -> Steps:
+        """Do it in three steps."""
         raise NotImplementedError
 
 
 class EditAct(SlowAct):
     """A change of the list of edits."""
 
-    def begin(self, shared: Shared) -> Callable[[], Finish]:
-        stage, session = shared.stage.copied(), shared.session
-
-        def work() -> Finish:
-            ahead = stage.session
-            ahead.take_edits(session)  # as edits before this one have left them
-            self.apply(stage)
-            _ = ahead.drawn  # what browsers ask for next
-
-            def finish() -> None:
-                session.take_edits(ahead)
-                if session.results is ahead.results:
-                    session.mode = ahead.mode
-
-            return finish
-
-        return work
+    def steps(self, shared: Shared) -> Steps:
+        session, stage = shared.session, shared.stage.copied()
+        ahead = stage.session
+        yield None
+        ahead.take_edits(session)  # as edits before this one have left them
+        self.apply(stage)
+        _ = ahead.drawn  # what browsers ask for next
+        yield None
+        session.take_edits(ahead)
+        if session.results is ahead.results:
+            session.mode = ahead.mode
+        yield None
 
     def apply(self, stage: Stage) -> None:
         """Change the edits of a copy of the session. Raises: InputError: it cannot be done."""
@@ -284,7 +282,7 @@ class Open(SlowAct):
     act: Literal["open"]
     batch: Text
 
-    def begin(self, shared: Shared) -> Callable[[], Finish]:
+    def steps(self, shared: Shared) -> Steps:
         return shared.open_batch(self.batch)
 
 
@@ -292,7 +290,7 @@ class OpenEntry(SlowAct):
     act: Literal["open_entry"]
     number: Number
 
-    def begin(self, shared: Shared) -> Callable[[], Finish]:
+    def steps(self, shared: Shared) -> Steps:
         return shared.open_entry(self.number)
 
 
@@ -313,28 +311,32 @@ def done(shared: Shared, act: Act) -> dict[str, object]:
     return _noted(shared, lambda: act.do(shared))
 
 
-def _noted(shared: Shared, do: Finish) -> dict[str, object]:
+def begun(shared: Shared, act: SlowAct) -> Callable[[], Callable[[], dict[str, object]]]:
+    """Do the first step of a slow act; returns the second, which returns the last, as `Lanes.take_change` takes them.
+
+    The last one returns the state after it to whose turn this is.
+    """
+    steps, visit = act.steps(shared), shared.visit
+    next(steps)
+
+    def shown() -> dict[str, object]:
+        shared.enter(visit)
+        return _noted(shared, lambda: next(steps))
+
+    def beside() -> Callable[[], dict[str, object]]:
+        next(steps)
+        return shown
+
+    return beside
+
+
+def _noted(shared: Shared, do: Callable[[], str | None]) -> dict[str, object]:
     """Do something and return the state after it, with what it says; what it has changed counts even if it fails."""
     try:
         said = do()
     finally:
         shared.note()
     return shared.state(said)
-
-
-def begun(shared: Shared, act: SlowAct) -> Callable[[], Callable[[], dict[str, object]]]:
-    """Begin a slow act; as `SlowAct.begin`, but the last step returns the state after it to whose turn this is."""
-    work, visit = act.begin(shared), shared.visit
-
-    def shown(finish: Finish) -> dict[str, object]:
-        shared.enter(visit)
-        return _noted(shared, finish)
-
-    def done_beside() -> Callable[[], dict[str, object]]:
-        finish = work()
-        return lambda: shown(finish)
-
-    return done_beside
 
 
 def _click(session: Session, origin: np.ndarray, direction: np.ndarray) -> str | None:

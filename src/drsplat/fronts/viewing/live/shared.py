@@ -2,7 +2,7 @@
 
 import re
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -184,7 +184,8 @@ class Shared:
 
     def _look(self) -> None:
         """Count what has changed for whose turn it is, others' edits among it."""
-        visit, seen = self.visit, ()
+        visit = self.visit
+        seen: tuple[Any, ...] = ()
         if self._stage is not None:
             session = self.session
             seen = session.edits.listed, session.time, session.results, session.segmentation
@@ -254,10 +255,10 @@ class Shared:
             self._rows.popitem(last=False)
         return arrays.piece(known[1], begin)
 
-    # --- opening ---
+    # --- opening: steps of slow acts, see `acts.Steps` ---
 
-    def open_batch(self, name: str) -> Callable[[], Callable[[], str]]:
-        """Return what opens the scene of a batch of files, which returns what shows it and says so.
+    def open_batch(self, name: str) -> Iterator[str | None]:
+        """Open the scene of a batch of files, and show it; yields what is said of it.
 
         On failure what was open stays, and the files go. Edits are kept in memory: a stranger's list of edits could
         name files of this machine.
@@ -265,61 +266,48 @@ class Shared:
         Raises: InputError: no such batch. FormatError, MismatchError: as the readers of scenes.
         """
         folder = self.uploads.batch(name).folder
+        yield None
+        try:
+            scene = self.open_path(root_of(folder))
+            scene.views = tuple(confined(view, folder) for view in scene.views)  # type: ignore[misc]
+            session = session_of(scene, self.budget, edits_kept=False)
+            _ = session.shown
+            yield None
+            self.show(session)
+        except BaseException as error:
+            self.uploads.drop(name)
+            if isinstance(error, DrSplatError):
+                error.args = (without_paths(str(error), [folder]),)
+            raise
+        self.uploads.keep_opened(name)
+        self.entry = ("", "")
+        yield f"opened {printable(scene.name, 60)}: {counted(len(scene.rows), 'Gaussian')}"
 
-        def work() -> Callable[[], str]:
-            try:
-                scene = self.open_path(root_of(folder))
-                scene.views = tuple(confined(view, folder) for view in scene.views)  # type: ignore[misc]
-                session = session_of(scene, self.budget, edits_kept=False)
-                _ = session.shown
-            except BaseException as error:
-                self.uploads.drop(name)
-                if isinstance(error, DrSplatError):
-                    error.args = (without_paths(str(error), [folder]),)
-                raise
-            return lambda: shown(session)
-
-        def shown(session: Session) -> str:
-            try:
-                self.show(session)
-            except BaseException:
-                self.uploads.drop(name)
-                raise
-            self.uploads.keep_opened(name)
-            self.entry = ("", "")
-            return f"opened {printable(session.scene.name, 60)}: {counted(len(session.scene.rows), 'Gaussian')}"
-
-        return work
-
-    def open_entry(self, number: int) -> Callable[[], Callable[[], str]]:
-        """Return what opens the scene of an entry of the catalogue's last answer, and in turn shows its object.
+    def open_entry(self, number: int) -> Iterator[str | None]:
+        """Open the scene of an entry of the catalogue's last answer, and select its object; yields what is said.
 
         Raises: InputError: no such entry, or its scene is no longer there.
         """
         catalogue, entry = self._found(number)
-
-        def work() -> Callable[[], str]:
-            if self.entry == (entry.scene, entry.field):
-                return lambda: shown(None)
+        session = None
+        yield None
+        if self.entry != (entry.scene, entry.field):
             scene = catalogue.scene(entry.scene)
             _ = scene.rows  # or the error that says what is missing
             session = session_of(scene, self.budget, self.words)
             _ = session.shown
-            return lambda: shown(session)
-
-        def shown(session: Session | None) -> str:
-            if session is not None:
-                self.show(session)
-                self.uploads.keep_opened(None)
-                self.entry = entry.scene, entry.field
-            title = f"{printable(entry.title, 60)} of '{printable(entry.scene, 60)}'"
-            field = self.session.scene.field
-            if field.fingerprint != entry.field or field.objects is None:
-                return f"{title}, which has changed since it was added"
+        yield None
+        if session is not None:
+            self.show(session)
+            self.uploads.keep_opened(None)
+            self.entry = entry.scene, entry.field
+        title = f"{printable(entry.title, 60)} of '{printable(entry.scene, 60)}'"
+        field = self.session.scene.field
+        if field.fingerprint != entry.field or field.objects is None:
+            title += ", which has changed since it was added"
+        else:
             self.session.choose_object(entry.object_id)
-            return title
-
-        return work
+        yield title
 
 
 def confined(view: View, folder: Path) -> View:

@@ -129,13 +129,12 @@ class Uploads:
 def checked_path(name: str) -> Path:
     """Return the path of a file inside a folder. Raises: FormatError, InputError: it would leave it, or is no file."""
     parts = Path(safe_name(name, "name")).parts
-    if len(parts) > MAX_FOLDER_DEPTH or any(_is_odd(part) for part in parts):
+    odd = (
+        _DEVICE.fullmatch(part) or part.startswith(".") or part.endswith((" ", ".")) or ":" in part for part in parts
+    )
+    if len(parts) > MAX_FOLDER_DEPTH or any(odd):
         raise InputError(f"name: expected a plain file, in {MAX_FOLDER_DEPTH} folders at most; got {name!a:.80}")
     return Path(*parts)
-
-
-def _is_odd(part: str) -> bool:
-    return bool(_DEVICE.fullmatch(part)) or part.startswith(".") or part.endswith((" ", ".")) or ":" in part
 
 
 def root_of(folder: Path) -> Path:

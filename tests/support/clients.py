@@ -1,4 +1,7 @@
-"""The live viewer without a network, and clients that talk to it: its own page, and strangers."""
+"""The live viewer without a network, and clients that talk to it: its own page, and strangers.
+
+Tests import it before the services, by its name: it skips them where the extra drsplat[viewer] is not installed.
+"""
 
 import asyncio
 import json
@@ -25,11 +28,11 @@ from drsplat.fronts.viewing.live.uploads import UploadLimits, Uploads
 from drsplat.fronts.viewing.saving import Saves
 from drsplat.fronts.viewing.session import Session
 from drsplat.query import Scene, open_scene
+from page_files import arrays_in
 from viewing_scenes import THINGS, boxes_scene
 
 HOST = "127.0.0.1:8080"
 OWN = {"host": HOST, "origin": f"http://{HOST}"}
-KINDS = {"f4": np.float32, "f2": np.float16, "u1": np.uint8, "u2": np.uint16}
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -50,7 +53,7 @@ class Viewer:
             self.shared.note()
         self.lanes = Lanes()
         self.app = create_app(self.shared, self.lanes)
-        self.gate = Gate(self.app, host, 8080, token)
+        self.gate, self.peer = Gate(self.app, host, 8080, token), ("127.0.0.1", 123)
         self.gate._is_paced = lambda scope: True  # type: ignore[method-assign]  # but in the tests of pace
 
     @property
@@ -61,11 +64,11 @@ class Viewer:
         self.lanes.stop()
         self.shared.uploads.close()
 
-    def send(self, method: str, path: str, headers: dict[str, str] | None = None, **given: Any) -> httpx.Response:
+    def send(self, method: str, path: str, headers: Any = None, **given: Any) -> httpx.Response:
         """One request with these headers and no others but those of its body."""
 
         async def sent() -> httpx.Response:
-            transport = httpx.ASGITransport(self.gate)
+            transport = httpx.ASGITransport(self.gate, client=self.peer)
             async with httpx.AsyncClient(transport=transport, base_url=f"http://{HOST}") as client:
                 own = OWN if headers is None else headers
                 return await client.request(method, path, headers=own, **given)
@@ -100,10 +103,7 @@ class Viewer:
     def arrays(self, path: str, **params: Any) -> dict[str, np.ndarray]:
         answer = self.get(path, **params)
         assert answer.status_code == 200, answer.text
-        return {
-            name: np.frombuffer(answer.content, KINDS[kind], count, offset)
-            for name, kind, offset, count in json.loads(answer.headers["x-drsplat-arrays"])
-        }
+        return arrays_in(answer.content, json.loads(answer.headers["x-drsplat-arrays"]))
 
     def state(self) -> dict[str, Any]:
         return dict(self.get("/view/state").json())
@@ -148,6 +148,20 @@ def camera(viewer: Viewer, eye: Any = (3.0, -9.0, 4.0), target: Any = (0.0, 0.0,
     frame = viewer.session.shown.frame
     places = (frame.shown(np.array(place, np.float64)).tolist() for place in (eye, target))
     return dict(zip(("eye", "target"), places, strict=True)) | {"fov": 50.0, "width": 320, "height": 240}
+
+
+def room_viewer(room: Path) -> Any:
+    """A viewer of the room on disk with a red and a blue ball, its photos and its objects."""
+    return a_viewer(
+        Session(open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture", threads=1))
+    )
+
+
+def ray_to(viewer: Viewer, point: Any) -> dict[str, list[float]]:
+    """A click from the side on a place of the world."""
+    frame = viewer.session.shown.frame
+    start, end = frame.shown(np.array(point) - [0.0, 4.0, 0.0]), frame.shown(np.array(point, np.float64))
+    return {"origin": start.tolist(), "direction": (end - start).tolist()}
 
 
 class Stream:
