@@ -44,8 +44,8 @@ def ask_colmap(task: str, log: Path, report: Report | None = None, **request: An
         ) as process,
     ):
         start = errors.tell()
-        assert process.stdin is not None
-        assert process.stdout is not None
+        assert process.stdin
+        assert process.stdout
         try:
             with process.stdin as line:
                 line.write(json.dumps({"task": task, "parent": os.getpid(), **request}))
