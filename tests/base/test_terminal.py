@@ -19,7 +19,7 @@ from command_line import answer_of, error_of, text_of
 from drsplat import errors
 from drsplat.base.progress import Meter
 from drsplat.base.terminal import counted, plain, plain_json, quoted
-from drsplat.cli import make_parser, spelled
+from drsplat.cli import main, make_parser, spelled
 from drsplat.fronts.commands.tables import show_facts, show_table
 
 EVIL = "\x1b[2J\x1b]0;pwned\x07\x9b31m\u202e\ud800"
