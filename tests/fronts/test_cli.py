@@ -26,7 +26,7 @@ from drsplat.formats.poses import write_cameras_json
 from drsplat.fronts.commands.demo import EXAMPLES
 from furnished.story import Story
 from growing_fields import files_of
-from twins.page_codes import read_page
+from page_files import read_page
 
 
 @pytest.fixture(scope="module")
