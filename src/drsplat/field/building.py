@@ -1,5 +1,6 @@
 """Evidence to field, a block of rows at a time: there is never a dense matrix of all features."""
 
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -32,6 +33,7 @@ class Features(Protocol):
     def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings: ...
 
 
+@dataclass(frozen=True)
 class RowCoder:
     """Makes features of rows and codes them, in this process; others let tasks do it, to the same bits."""
 

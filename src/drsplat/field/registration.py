@@ -239,8 +239,7 @@ def register(
     chosen = with_features(views, features)
     gaussians, seen = scene.canonical if isinstance(scene, Moving) else scene, [view for view, _ in chosen]
     warn_of_missing(views, chosen)
-    for doubt in doubts(gaussians, seen):
-        warn(doubt, DrSplatWarning, stacklevel=3)
+    _warn_of_doubts(gaussians, seen)
     times = times_of(scene, seen)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
@@ -324,6 +323,11 @@ def warn_of_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -
             DrSplatWarning,
             stacklevel=4,
         )
+
+
+def _warn_of_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
+    for doubt in doubts(gaussians, views):
+        warn(doubt, DrSplatWarning, stacklevel=4)
 
 
 def check_one_size(sizes: Mapping[int, str]) -> None:

@@ -133,8 +133,7 @@ class ColumnMaker:
         """
         mask_ids = _mask_ids(view, features)
         key = self._key(view, mask_ids)
-        isa = default_isa() if device_in_use() == "cpu" else device_in_use()  # another one changes the last bits
-        marks = {"key": key.hex(), "isa": isa}
+        marks = {"key": key.hex(), "isa": _computed_by()}
         path = self.folder / part_name(view.name)
         columns, is_new = Columns(view.name, path, features.embeddings, key), not is_finished(path, marks)
         if is_new:
@@ -159,6 +158,12 @@ class ColumnMaker:
         pixels = "" if sampling.pixels == "all" else f" {sampling.pixels}"
         salt = f"{COLUMNS_VERSION} {sampling.topk} {sampling.first_hits}{pixels} {self.scenery.digest(view)}"
         return digest_of(view.K, view.cam_from_world, mask_ids, salt=salt)
+
+
+def _computed_by() -> str:
+    """Return the instruction set or the device in use: another one changes the last bits."""
+    device = device_in_use()
+    return default_isa() if device == "cpu" else device
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> MaskIds:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Doubles, Indices, RowIds
+from ...base.arrays import Doubles, Indices, OtherDoubles, OtherIndices, RowIds
 from ...errors import InputError
 from .. import LanguageField
 from ..evidence.aggregation.entries import entry_rows
@@ -73,7 +73,7 @@ def _owners(weights: csr_array, thing_of: RowIds) -> Indices:
     return best
 
 
-def _sums(at: Indices, thing: Indices, weight: np.ndarray) -> tuple[Indices, Indices, Doubles]:
+def _sums(at: Indices, thing: Indices, weight: np.ndarray) -> tuple[OtherIndices, OtherIndices, OtherDoubles]:
     """Return the sum of weights of each pair of numbers, pairs ascending."""
     width = int(thing.max(initial=0)) + 1
     keys, place = np.unique(at * width + thing, return_inverse=True)
