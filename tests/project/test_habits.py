@@ -130,7 +130,7 @@ def test_a_file_that_cannot_be_meant_is_refused(room, text, fault, capsys):
     (room / "bad.toml").write_text(text)
     assert fault in error_of(capsys, "register", "a.ply", "b", "--features", "c", "--config", str(room / "bad.toml"))
     error = error_of(capsys, "doctor", "--config", str(room / "none.toml"))
-    assert error.endswith("none.toml: No such file or directory\n")
+    assert error.endswith("none.toml: there is no such file\n")
     assert "Errno" not in error
 
 

@@ -115,8 +115,6 @@ def lines_of(path: str, what: str) -> list[str]:
     """
     from ...base.contents import file_text
 
-    if not Path(path).is_file():
-        raise InputError(f"{path}: there is no such file")
     try:
         text = file_text(path)
     except UnicodeDecodeError as error:
