@@ -8,6 +8,7 @@ difference is that and nothing else.
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from drsplat.evaluation.pseudo_labels import LabelledPoints
 from drsplat.evaluation.scannet import LabelSet, ScannetScene
 from drsplat.evaluation.scorers import Scorer
 from drsplat.formats.lerf_ovs import LabelledFrame, fill_polygon, read_lerf_labels
-from drsplat.scene.gaussians import Gaussians
+from scenes import random_gaussians
 
 pytestmark = pytest.mark.oracle
 few = settings(derandomize=True, max_examples=40)
@@ -269,15 +270,6 @@ def test_localization_is_that_of_langsplat_but_for_window_and_border(tmp_path_fa
     assert hit == langsplat_hit(peaks, boxes) or len(peaks) > 1
 
 
-def test_a_box_may_be_drawn_from_any_corner(tmp_path):
-    relevancy = np.zeros((20, 40), np.float32)
-    relevancy[5:8, 10:13] = 1
-    for k, box in enumerate(([9, 4, 14, 9], [14, 9, 9, 4], [14, 4, 9, 9], [9, 9, 14, 4])):
-        (tmp_path / str(k)).mkdir()
-        assert localized(tmp_path / str(k), relevancy, [[20, 10, 30, 15], box])
-        assert langsplat_hit(langsplat_peaks(relevancy, 3, "reflect"), [box])
-
-
 def test_the_oracle_smooths_as_opencv_does():
     cv2 = pytest.importorskip("cv2")
     relevancy = default_rng(0).random((50, 70)).astype(np.float32)
@@ -331,15 +323,10 @@ def mean_of(values: dict[int, Fraction]) -> float:
 
 def frozen_scene(truth: list[int], opacities: list[float], count: int) -> ScannetScene:
     names = tuple(f"class {label}" for label in range(1, count + 1))
-    rows = len(truth)
-    means = default_rng(0).normal(size=(rows, 3)).astype(np.float32)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (rows, 1))
-    gaussians = Gaussians(
-        means, quats, np.full((rows, 3), 0.1, np.float32), np.array(opacities, np.float32),
-        np.zeros((rows, 1, 3), np.float32),
-    )  # fmt: skip
+    gaussians = random_gaussians(len(truth))
+    gaussians = replace(gaussians, opacities=np.array(opacities, np.float32))
     labels = LabelSet("made", tuple(range(1, count + 1)), names, names)
-    return ScannetScene("scene0000_00", LabelledPoints(means, np.array(truth, np.int32)), labels, gaussians)
+    return ScannetScene("scene0000_00", LabelledPoints(gaussians.means, np.array(truth, np.int32)), labels, gaussians)
 
 
 @few
