@@ -343,7 +343,7 @@ def test_labels_of_numbers_that_no_gaussian_has_are_refused(room, capsys):
     pytest.importorskip("pxr")
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "a.usda")
     text = (room / "a.usda").read_text()
-    for lie in ("int drsplat:number = 4294967295", "int drsplat:number = -2"):
+    for lie in ("double drsplat:number = 4294967295", "int drsplat:number = -2"):
         (room / "b.usda").write_text(text.replace("int drsplat:number = 1", lie))
         assert (room / "b.usda").read_text() != text
         assert "and a number from -1 to 2147483647" in error_of(capsys, "export", room / "b.usda", "-o", room / "c.glb")
