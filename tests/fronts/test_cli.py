@@ -26,7 +26,7 @@ from drsplat.formats.poses import write_cameras_json
 from drsplat.fronts.commands.demo import EXAMPLES
 from furnished.story import Story
 from growing_fields import files_of
-from twins.page_codes import read_page
+from page_files import read_page
 
 
 @pytest.fixture(scope="module")
@@ -454,11 +454,12 @@ def test_render_keeps_in_colour_what_a_query_finds(room, tmp_path, capsys):
 
 
 def test_demo_verb_tells_its_story(household_story, tmp_path, capsys, monkeypatch):
-    """The story and its pictures are tested elsewhere; here, what is printed of them."""
+    """The story, its pictures and its page are tested elsewhere; here, what is printed of them."""
     count = len(PROBES)
     pictures = [tmp_path / "overview.png", *(tmp_path / f"{k}.png" for k in range(count))]
     monkeypatch.setattr("drsplat.evaluation.demo.story.tell", lambda *_args, **_options: household_story)
     monkeypatch.setattr("drsplat.evaluation.demo.story.write_album", lambda *_args, **_options: pictures)
+    monkeypatch.setattr("drsplat.fronts.viewing.exporting.export_page", lambda *_args, **_options: None)
     answer = answer_of(capsys, "demo", "--output-dir", tmp_path)
     assert [query["text"] for query in answer["queries"]] == [q.text for q in PROBES]
     wanted = {"text", "num_matches", "is_right", "iou", "num_selected", "center", "seconds"}

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -81,12 +82,18 @@ def place_of(parts: list[str]) -> str:
     return f"{wing}.{inner[0]}" if inner and inner[0] in WINGS[wing] else wing
 
 
+@lru_cache(1000)
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@lru_cache(2000)
 def imported(path: Path, *, types: bool = True) -> set[str]:
     """Modules and names of drsplat, without its own name, that a file imports from, wherever in it.
 
     types: also what types alone need.
     """
-    package, tree = path.relative_to(SOURCE).parent.parts, ast.parse(path.read_text())
+    package, tree = path.relative_to(SOURCE).parent.parts, parsed(path)
     asides = [n for n in ast.walk(tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
     left_out = set() if types else {id(inner) for node in asides for inner in ast.walk(node)}
     found = set()
@@ -148,13 +155,13 @@ FOLDERS = sorted(path.parent for path in SOURCE.rglob("__init__.py") if path.par
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.relative_to(SOURCE).as_posix())
 def test_a_folder_says_what_it_is_for(folder):
-    doc = ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
+    doc = ast.get_docstring(parsed(folder / "__init__.py"))
     assert len(doc.split()) > 5
 
 
 @pytest.mark.parametrize("wing", sorted({path.parent for path in SOURCE.glob("*/__init__.py")}), ids=lambda p: p.name)
 def test_a_wing_says_where_to_begin_and_what_it_imports(wing):
-    doc = ast.get_docstring(ast.parse((wing / "__init__.py").read_text()))
+    doc = ast.get_docstring(parsed(wing / "__init__.py"))
     purpose, _, imports = doc.rpartition("\n\nImports ")
     assert "Begin with" in " ".join(purpose.split())
     used = {name.split(".")[0] for path in wing.rglob("*.py") for name in imports_of(path)}
@@ -198,7 +205,7 @@ def test_docstrings_of_functions_begin_with_a_verb():
 
 
 def nouns_first(path: Path) -> list[str]:
-    functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)]
+    functions = [node for node in ast.walk(parsed(path)) if isinstance(node, ast.FunctionDef)]
     actions = [node for node in functions if not any("property" in ast.unparse(d) for d in node.decorator_list)]
     lines = [text.splitlines()[0] for node in actions if (text := ast.get_docstring(node))]
     return [line for line in lines if line.split()[0].rstrip(",:;") not in VERBS]
@@ -208,7 +215,7 @@ def nouns_first(path: Path) -> list[str]:
 def test_no_module_gives_a_name_twice(path):
     """The second would be meant where the first is read: so a joined module reads another's constant."""
     names: list[str] = []
-    for node in ast.parse(path.read_text()).body:
+    for node in parsed(path).body:
         if isinstance(node, ast.Assign):
             names += [name.id for target in node.targets for name in ast.walk(target) if isinstance(name, ast.Name)]
         elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):

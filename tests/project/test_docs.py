@@ -14,7 +14,7 @@ import drsplat as ds
 from drsplat.field.registration import Registration
 from drsplat.formats.known import FORMATS
 from drsplat.formats.tensors import map_tensors
-from toy_capture import NEGATIVES, balls_field, write_toy_capture
+from toy_capture import NEGATIVES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (*(ROOT / "docs").rglob("*.md"), *(ROOT / name / "README.md" for name in ("world", "benchmarks")))
@@ -22,11 +22,6 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *PAGES])
 CODE_FOLDERS = ("", "src/drsplat", "native")
 
 every_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Path:
-    return write_toy_capture(tmp_path_factory.mktemp("documents"))
 
 
 def blocks(document: str, language: str) -> list[str]:
@@ -150,10 +145,10 @@ def test_every_rule_of_the_method_has_code_and_a_test():
 
 
 @pytest.fixture(scope="module")
-def field_folder(capture, tmp_path_factory) -> Path:
+def field_folder(edited_room, tmp_path_factory) -> Path:
     encoder = ds.WordEncoder()
     folder = tmp_path_factory.mktemp("field") / "scene.field"
-    field = balls_field(capture)
+    field = ds.load_field(edited_room / "room.field")
     grown = Registration.from_field(field).to_field(ds.Mixture())
     field = replace(field, growth=grown.growth)
     texts, vectors = tuple(NEGATIVES), encoder.encode_texts(NEGATIVES)

@@ -3,7 +3,6 @@
 import argparse
 import ast
 import asyncio
-import dataclasses
 import inspect
 import re
 from collections.abc import Iterable, Iterator
@@ -66,9 +65,7 @@ def public_names() -> Iterator[str]:
         if inspect.isclass(thing):
             yield from (one for one in vars(thing) if not one.startswith("_"))
             for _, method in inspect.getmembers(thing, callable):
-                yield from parameters(method)
-            if dataclasses.is_dataclass(thing):
-                yield from (one.name for one in dataclasses.fields(thing))
+                yield from parameters(method)  # also of __init__: the fields of a dataclass
         elif callable(thing):
             yield from parameters(thing)
 

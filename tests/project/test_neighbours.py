@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import drsplat as ds
-from toy_capture import NEGATIVES, THINGS, write_toy_capture
+from toy_capture import NEGATIVES, THINGS
 from written_captures import model_of, transforms_document, write_colmap_text, write_json
 
 NEIGHBOURS = Path(__file__).resolve().parents[2] / "examples/neighbours"
@@ -19,11 +19,6 @@ TURN = np.eye(4)
 TURN[:3, :3] = Rotation.from_euler("xyz", (20, -50, 110), degrees=True).as_matrix()
 TURN[:3, 3] = (1.0, -2.0, 0.5)
 SCALE = 0.37  # of nerfstudio's frame
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Path:
-    return write_toy_capture(tmp_path_factory.mktemp("neighbours"))
 
 
 def colmap_model(views: list[ds.View], folder: Path) -> None:
@@ -79,14 +74,14 @@ def in_its_frame(gaussians: ds.Gaussians) -> ds.Gaussians:
 
 
 @pytest.mark.parametrize("layout", [postshot, realityscan, metashape, polycam, record3d, nerfstudio])
-def test_a_layout_leads_to_the_answer(layout, toy, tmp_path):
-    shutil.copytree(toy / "capture/images", tmp_path / "images")
-    layout(ds.read_views(toy / "capture"), tmp_path)
-    gaussians, at = ds.read_gaussians(toy / "scene.ply"), np.array(THINGS["red mug"])
+def test_a_layout_leads_to_the_answer(layout, edited_room, tmp_path):
+    shutil.copytree(edited_room / "capture/images", tmp_path / "images")
+    layout(ds.read_views(edited_room / "capture"), tmp_path)
+    gaussians, at = ds.read_gaussians(edited_room / "scene.ply"), np.array(THINGS["red mug"])
     if layout is nerfstudio:
         gaussians, at = in_its_frame(gaussians), SCALE * (TURN[:3, :3] @ at + TURN[:3, 3])
     encoder = ds.WordEncoder()
-    features = ds.read_features(toy / "capture/language_features", encoder=encoder.identity)
+    features = ds.read_features(edited_room / "capture/language_features", encoder=encoder.identity)
     views = ds.read_views(tmp_path)
     assert all(view.image_path is not None for view in views)
     field = ds.register(gaussians, views, features).to_field()

@@ -19,7 +19,7 @@ from benchmarks.suite.rivals.rasterising import CONTRIBUTORS, Photos, blended, p
 
 import drsplat as ds  # noqa: E402
 from drsplat.kernels import render_channels, splat_arrays  # noqa: E402
-from scenes import look_at_view, random_gaussians  # noqa: E402
+from scenes import gaussians_at, look_at_view, random_gaussians  # noqa: E402
 from toy_capture import EYES, HEIGHT, PER_THING, THINGS, WIDTH, balls, masks  # noqa: E402
 
 EFFORTS = {LANGSPLAT: 0.01, LEGAUSSIANS: 0.01, OPENGAUSSIAN: 0.02}  # of the papers' steps
@@ -87,18 +87,12 @@ def stripes() -> tuple[ds.Gaussians, dict[ds.View, ds.ViewFeatures]]:
     at = (np.arange(ROWS) - (ROWS - 1) / 2) * STEP
     across, along = (grid.ravel() for grid in np.meshgrid(at, at))
     depths = np.random.default_rng(0).uniform(-0.02, 0.02, ROWS**2)
-    columns = (
-        np.stack([across, depths, along], 1),
-        np.tile([1.0, 0, 0, 0], (ROWS**2, 1)),
-        np.tile([STEP, 0.005, STEP], (ROWS**2, 1)),
-        np.full(ROWS**2, 0.5),
-        np.zeros((ROWS**2, 1, 3)),
-    )
+    gaussians = gaussians_at(np.stack([across, depths, along], 1), (STEP, 0.005, STEP), opacity=0.5)
     words, seen = ds.WordEncoder().encode_texts(list(STRIPES)), {}
     for eye in ((-0.6, -4, 0), (0, -4, 0.5), (0.6, -4, -0.3), (-0.6, 4, 0), (0, 4, 0.5), (0.6, 4, -0.3)):
         view = replace(look_at_view(eye, width=96, height=72, fov_degrees=40), name=f"{eye}.png")
         seen[view] = ds.ViewFeatures(stripes_of(view), words)
-    return ds.Gaussians(*(column.astype(np.float32) for column in columns)), seen
+    return gaussians, seen
 
 
 def stripes_of(view: ds.View) -> np.ndarray:

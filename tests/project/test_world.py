@@ -13,8 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_fill_holes
 from world import contours, layouts, looks, meshes, scan, textures
-from world.cameras import is_free, look_at, views_of
-from world.denoising import denoised
+from world.cameras import is_free, views_of
 from world.render import Shot
 from world.rooms import Room, make_room, overlap
 from world.things import CATALOGUE, make
@@ -70,23 +69,6 @@ def is_closed(mesh: meshes.Mesh) -> bool:
     return all(np.array_equal(a, b) for a, b in zip(*both, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("mesh", "volume"),
-    [
-        (meshes.box((1, 2, 3)), 6.0),
-        (meshes.sphere(1, 2, 3, 64), 4 / 3 * np.pi * 6),
-        (meshes.cylinder(1, 2, 0, 200), 2 * np.pi),
-        (meshes.lathe([(0, 0), (1, 0), (0, 3)], 200), np.pi),
-        (meshes.sweep([(0, 0, 0), (0, 0, 1), (0, 0, 2)], 0.5, 200), np.pi / 2),
-        (meshes.extrude([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], 3), 9.0),
-    ],
-    ids=["box", "sphere", "cylinder", "cone", "tube", "L"],
-)
-def test_volumes_of_solids(mesh, volume):
-    assert meshes.volume(mesh) == pytest.approx(volume, rel=5e-3)
-    assert is_closed(mesh)
-
-
 def test_splits_share_neither_seeds_nor_textures():
     assert looks.TRAIN.last <= looks.TEST.first
     for use in looks.TRAIN.families:
@@ -96,15 +78,6 @@ def test_splits_share_neither_seeds_nor_textures():
     assert looks.TRAIN.rng(0).random() != looks.TEST.rng(0).random()
     with pytest.raises(ValueError, match=r"split 'train': expected a seed in 0\.\.999999"):
         looks.TRAIN.rng(1_000_000)
-
-
-@pytest.mark.parametrize("family", textures.PATTERNS)
-def test_textures_repeat_without_a_seam_that_stands_out(family):
-    image = textures.bitmap(family, default_rng(0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    gray = image[..., 0].astype(float)
-    for line in (gray, gray.T):
-        steps = np.abs(np.diff(line, axis=0)).mean(1)
-        assert np.abs(line[0] - line[-1]).mean() <= 2 * steps.max() + 2
 
 
 def test_names_of_colours_hold_their_shades_apart():
@@ -144,15 +117,11 @@ def _within(inner: np.ndarray, outer: np.ndarray) -> bool:
 
 
 @given(st.floats(0, 360), st.floats(-3, 3), st.floats(-3, 3))
-def test_rectangles_overlap_if_a_point_is_in_both(degrees, x, y):
+def test_squares_overlap_where_their_inner_circles_do_and_not_where_their_outer_ones_do_not(degrees, x, y):
     square = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
     other = square @ meshes.turn("z", degrees)[:2, :2].T + [x, y]
-    dense = np.stack(np.meshgrid(*[np.linspace(0, 1, 15)] * 2), axis=-1).reshape(-1, 2)
-    points = other[0] + dense @ np.stack([other[1] - other[0], other[3] - other[0]])
-    if (np.abs(points) < 1).all(1).any():
-        assert overlap(square, other, 0.0)
-    if np.hypot(x, y) > 2 * np.sqrt(2):
-        assert not overlap(square, other, 0.0)
+    if not 2 <= np.hypot(x, y) <= 2 * np.sqrt(2):
+        assert overlap(square, other, 0.0) == (np.hypot(x, y) < 2)
 
 
 @pytest.mark.slow
@@ -190,19 +159,6 @@ def test_a_strip_one_pixel_wide_has_three_corners_as_labels_need(turned):
     assert {tuple(corner[::-1] if turned else corner) for corner in corners} == {(3, 4), (16, 4)}
 
 
-def test_denoising_keeps_edges_and_averages_noise():
-    rng = default_rng(0)
-    albedo = np.where(np.arange(40)[None, :, None] < 20, 0.2, 0.8) * np.ones((30, 40, 3))
-    normals = np.broadcast_to([0.0, 0.0, 1.0], albedo.shape)
-    clean = 0.7 * albedo
-    noisy = clean * rng.uniform(0.8, 1.2, (30, 40, 1))
-    out = denoised(noisy, albedo, normals)
-    assert np.abs(out - clean).std() < 0.35 * np.abs(noisy - clean).std()
-    assert_allclose(denoised(clean, albedo, normals), clean, rtol=1e-4)
-    noisy[15, 10] = 50  # a firefly
-    assert np.abs(denoised(noisy, albedo, normals) - clean).max() < 0.2
-
-
 def painted_shots(made: Room, count: int = 6) -> list[Shot]:
     """Shots without a renderer: discs where the things' centres are, at their depth."""
     shots = []
@@ -227,7 +183,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Room, list[
     points = scan.from_depth(shots, 600, rng)
     layouts.write_truth(folder, made, shots, {"seed": 1})
     layouts.write_lerf(folder / "lerf_ovs", "s", made, shots, points)
-    layouts.write_scannet(folder / "scannet", "s", made, shots, points)
+    layouts.write_scannet(folder / "scannet", "s", made, points)
     return folder, made, shots
 
 
@@ -250,13 +206,8 @@ def test_the_lerf_layout_reads_back(written):
 
 
 def test_the_scannet_layout_reads_back(written):
-    folder, made, shots = written
+    folder, made, _ = written
     place = folder / "scannet" / "s"
-    views = [view for part in ("train", "test") for view in ds.read_views(place / f"transforms_{part}.json")]
-    poses = {f"color/{s.view.name}": s.view.cam_from_world for s in shots}
-    assert len(views) == len(poses)
-    for view in views:
-        assert_allclose(view.cam_from_world, poses[view.name], atol=1e-12)
     ids = json.loads((place / "s_vh_clean_2.0.010000.segs.json").read_text())["segIndices"]
     names = [o.thing.name for o in made.objects] + [s.name for s in made.structures]
     labels = read_scannet_labels(place / "s_vh_clean_2.labels.ply").labels
@@ -351,18 +302,3 @@ def test_crops_are_deterministic_and_show_their_thing():
         assert_array_equal(a.mask, b.mask)
         assert np.abs(a.image.astype(int) - b.image).max() <= 1
         assert a.mask.mean() > 0.02
-
-
-def test_the_renderers_camera_is_the_views_to_a_fraction_of_a_pixel():
-    pytest.importorskip("mitsuba", reason="pip install mitsuba==3.9.1 to render the world")
-    from world import engine
-
-    view = look_at(np.array([1.0, 2.0, 1.5]), np.array([0.0, 0.3, 0.2]), (64, 48), 60.0)
-    camera = engine.mitsuba().load_dict(engine.sensor(view, 1))
-    origin, directions = engine.pixel_rays(view)
-    for row, column in ((0, 0), (47, 0), (10, 63), (24, 32)):
-        place = [(column + 0.5) / 64, (row + 0.5) / 48]
-        ray, _ = camera.sample_ray(0.0, 0.5, place, [0.5, 0.5])
-        ours = directions[row, column] / np.linalg.norm(directions[row, column])
-        assert_allclose(np.ravel(ray.d), ours, atol=1e-5)  # a pixel is 2e-2
-        assert np.linalg.norm(np.cross(np.ravel(ray.o) - origin, ours)) < 1e-5

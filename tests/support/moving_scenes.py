@@ -12,7 +12,7 @@ from drsplat.kernels import render_channels, splat_arrays
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.moving import Frames, Moving
 from fields import with_flat_objects
-from scenes import look_at_view, random_gaussians
+from scenes import gaussians_at, look_at_view, random_gaussians
 from written_captures import model_of, transforms_document, write_json, write_photo
 
 
@@ -47,15 +47,12 @@ def passing() -> Moving:
     rng = np.random.default_rng(3)
     car, vase = (rng.uniform(-0.2, 0.2, (100, 3)) + center for center in ((0.0, -1.0, 0.2), (-0.6, 0.05, 0.2)))
     table = rng.uniform((-1, -1.5, -0.2), (1, 1.5, -0.05), (100, 3))
-    means = np.concatenate([car, vase, table]).astype(np.float32)
-    count = len(means)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
-    scales = np.repeat(np.array([0.05, 0.05, 0.15], np.float32), 100)[:, None].repeat(3, 1)
-    gaussians = Gaussians(means, quats, scales, np.full(count, 0.9, np.float32), np.zeros((count, 1, 3), np.float32))
+    scales = np.repeat([0.05, 0.05, 0.15], 100)[:, None]
+    gaussians = gaussians_at(np.concatenate([car, vase, table]), scales)
     stamps = np.linspace(0, 1, STEPS)
 
     def frame(number: int) -> Gaussians:
-        moved = means.copy()
+        moved = gaussians.means.copy()
         moved[:100, 1] += np.float32(2 * stamps[number])
         return replace(gaussians, means=moved)
 

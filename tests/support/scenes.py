@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from world.cameras import look_at
 
 from drsplat.scene.gaussians import SH_C0, Gaussians
@@ -33,7 +34,7 @@ def random_gaussians(
 
 
 def gaussians_at(
-    means: np.ndarray, size: float | Sequence[float] = 0.012, color: Sequence[float] = (0.5, 0.5, 0.5),
+    means: np.ndarray, size: ArrayLike = 0.012, color: ArrayLike = (0.5, 0.5, 0.5),
     opacity: float = 0.9,
 ) -> Gaussians:  # fmt: skip
     """Gaussians of one look at some places, along the world's axes. size: of every axis, or of each. color: RGB."""

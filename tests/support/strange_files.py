@@ -2,7 +2,8 @@
 
 A case is a folder's files by name, and how they are read; what comes out is one line: what was read, then warnings, or
 the error. It is right if that line has all parts of what is expected of it, " ... " between them, in their order: of an
-error what was given, what it was taken for, and what to do. `python tests/support/strange_files.py` prints them.
+error what was given, what it was taken for, and what to do.
+`PYTHONPATH=tests python tests/support/strange_files.py` prints them.
 """
 
 import io
@@ -795,7 +796,7 @@ cases(
     (
         "SPZ with something else behind",
         {"scene.spz": SPZ + b"something else"},
-        "FormatError ... scene.spz ... gzip stream is damaged ... header",
+        "FormatError ... scene.spz ... gzip stream is damaged ... gzipped",
     ),
 )
 cases(

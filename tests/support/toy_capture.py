@@ -16,7 +16,7 @@ from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.moving import Frames, Moving
 from fields import with_flat_objects
-from scenes import look_at_view
+from scenes import gaussians_at, look_at_view
 
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
 THINGS = {"red mug": (-0.7, 0.0, 0.0), "blue plate": (0.7, 0.0, 0.0)}
@@ -31,15 +31,7 @@ def balls() -> ds.Gaussians:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     means = 0.3 * directions + np.repeat(list(THINGS.values()), PER_THING, axis=0)
     colors = np.repeat([(1.2, -1.2, -1.2), (-1.2, -1.2, 1.2)], PER_THING, axis=0)
-    count = len(means)
-    columns = (
-        means,
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        np.full((count, 3), 0.05),
-        np.full(count, 0.9),
-        colors[:, None],
-    )
-    return ds.Gaussians(*(column.astype(np.float32) for column in columns))
+    return replace(gaussians_at(means, 0.05), sh=colors.astype(np.float32)[:, None])
 
 
 def sliding(gaussians: ds.Gaussians) -> Moving:
