@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from unittest.mock import patch
 
@@ -292,6 +293,8 @@ def test_colors_can_be_fitted_to_bytes(room, capsys):
     ("suffix", "more"), [("glb", ()), ("ply", ()), ("usda", ()), ("sog", ()), ("spz", ("--spz-version", 4))]
 )
 def test_names_come_back_from_every_format_that_holds_them(room, capsys, suffix, more):
+    if suffix == "usda":
+        pytest.importorskip("pxr")
     scene, out = opened(room), room / f"part.{suffix}"
     answer_of(capsys, "objects", room / "room.field", "--id", 1, "--label", 'a/b "plate" 😀')
     given = ("--field", room / "room.field", "--object", 1, *more)
@@ -307,7 +310,9 @@ def test_names_come_back_from_every_format_that_holds_them(room, capsys, suffix,
 def test_a_file_with_objects_is_exported_with_them_again(room, capsys):
     """From format to format, without the field; after an edit the boxes are where the Gaussians are."""
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "0.glb")
-    chain = (("1.sog", ()), ("2.spz", ("--spz-version", 4)), ("2b.ply", ()), ("3.usda", ()), ("4.glb", ()))
+    chain = [("1.sog", ()), ("2.spz", ("--spz-version", 4)), ("2b.ply", ()), ("3.usda", ()), ("4.glb", ())]
+    if find_spec("pxr") is None:
+        chain.remove(("3.usda", ()))
     for place, (name, more) in enumerate(chain):
         source = room / ("0.glb" if not place else chain[place - 1][0])
         assert answer_of(capsys, "export", source, *more, "-o", room / name)["lacks"] == []
@@ -335,6 +340,7 @@ def test_a_copy_in_a_file_of_one_object_is_named_after_it(room, capsys):
 
 
 def test_labels_of_numbers_that_no_gaussian_has_are_refused(room, capsys):
+    pytest.importorskip("pxr")
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "a.usda")
     text = (room / "a.usda").read_text()
     for lie in ("int drsplat:number = 4294967295", "int drsplat:number = -2"):

@@ -33,10 +33,10 @@ from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.masks.crops import crop
 from drsplat.scene.views import View
 from fake_models import DIM, ColorSegmenter, LargeSegmenter, ThumbnailEncoder
-from furnished.capture import write_model
 from places import SUPPORT
 from refusing import malformed, refused
 from scenes import random_gaussians
+from written_captures import model_of, write_colmap_text
 
 TESTS = SUPPORT
 embed = partial(embed_compactly, form="langsplat")  # test_compact_features.py has the other form
@@ -498,8 +498,7 @@ def test_a_kill_loses_at_most_one_photo(form, tmp_path, out):
 
 
 def write_model_folder(folder: Path, views: list[View]) -> None:
-    (folder / "sparse/0").mkdir(parents=True)
-    write_model(folder / "sparse/0", views)
+    write_colmap_text(folder / "sparse/0", *model_of(views), [])
 
 
 def peak_bytes(folder: Path, count: int) -> int:

@@ -163,9 +163,6 @@ def test_enlarged_labels_are_those_of_the_nearest_pixel(h, w, m, n):
     assert_array_equal(enlarged(labels, h * m, w * n), labels.repeat(m, 0).repeat(n, 1))
 
 
-# Features
-
-
 # The network
 
 

@@ -183,7 +183,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Room, list[
     points = scan.from_depth(shots, 600, rng)
     layouts.write_truth(folder, made, shots, {"seed": 1})
     layouts.write_lerf(folder / "lerf_ovs", "s", made, shots, points)
-    layouts.write_scannet(folder / "scannet", "s", made, shots, points)
+    layouts.write_scannet(folder / "scannet", "s", made, points)
     return folder, made, shots
 
 
@@ -206,13 +206,8 @@ def test_the_lerf_layout_reads_back(written):
 
 
 def test_the_scannet_layout_reads_back(written):
-    folder, made, shots = written
+    folder, made, _ = written
     place = folder / "scannet" / "s"
-    views = [view for part in ("train", "test") for view in ds.read_views(place / f"transforms_{part}.json")]
-    poses = {f"color/{s.view.name}": s.view.cam_from_world for s in shots}
-    assert len(views) == len(poses)
-    for view in views:
-        assert_allclose(view.cam_from_world, poses[view.name], atol=1e-12)
     ids = json.loads((place / "s_vh_clean_2.0.010000.segs.json").read_text())["segIndices"]
     names = [o.thing.name for o in made.objects] + [s.name for s in made.structures]
     labels = read_scannet_labels(place / "s_vh_clean_2.labels.ply").labels

@@ -796,7 +796,7 @@ cases(
     (
         "SPZ with something else behind",
         {"scene.spz": SPZ + b"something else"},
-        "FormatError ... scene.spz ... gzip stream is damaged ... header",
+        "FormatError ... scene.spz ... gzip stream is damaged ... gzipped",
     ),
 )
 cases(

@@ -271,7 +271,7 @@ def test_a_run_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, distortion,
         views = masked_views(views, tmp_path, 20)
     device, here = both_runs(cuda_engine_on_cpu, views, points, s)
     if distortion is not None:
-        assert len(here.photos[0].outside) > 5
+        assert here.photos[0].outside.sum() > 5
     assert_same_losses(device, here, 10)
     for name, ours in here.optimizer.parameters._asdict().items():
         if name != "quats":  # of round Gaussians: the slope is rounding alone, and Adam's step its sign
@@ -337,9 +337,7 @@ def test_a_run_may_move_between_devices(cuda_engine_on_cpu, views, points, tmp_p
         assert following.step().loss == pytest.approx(loss, rel=1e-4)
         load_checkpoint(path, following, "{}")
     with pytest.raises(MismatchError, match="other settings"):
-        load_checkpoint(
-            path, fresh_run(DeviceRun, views, points, replace(s, seed=3), engine=cuda_engine_on_cpu), "capture"
-        )
+        load_checkpoint(path, fresh_run(DeviceRun, views, points, replace(s, seed=3), engine=cuda_engine_on_cpu), "{}")
 
 
 @pytest.mark.slow

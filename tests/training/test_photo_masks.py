@@ -235,7 +235,7 @@ def test_measures_compare_what_is_kept_alone(crowded):
     everything = ssim(image, photo)
     inside = np.zeros(SIZE, bool)
     inside[PERSON] = True
-    alone = ssim(image, photo, ~inside.ravel())
+    alone = ssim(image, photo, ~inside)
     assert scored.ssim == pytest.approx((everything - (1 - share) * alone) / share, abs=1e-6)
 
 

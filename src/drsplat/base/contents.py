@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, MissingFileError
 from .arrays import UInt8
 from .system import NO_WAITING, OWN_FILE_FLAGS
 
@@ -42,11 +42,13 @@ _PIECE_BYTES = 64 << 20  # of a mapped file that are in memory at once
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:
     """Open a regular file for reading; never wait for a pipe's writer.
 
-    Raises: InputError: a folder, pipe, socket or device. FormatError: what lies there in place of a file, a pointer of
-    Git LFS or a web page. OSError: as `open`.
+    Raises: MissingFileError. InputError: a folder, pipe, socket or device. FormatError: what lies there in place of a
+    file, a pointer of Git LFS or a web page. OSError: as `open`.
     """
     try:
         number = os.open(path, os.O_RDONLY | NO_WAITING | OWN_FILE_FLAGS)
+    except (FileNotFoundError, NotADirectoryError):
+        raise MissingFileError(f"{path}: there is no such file") from None
     except ValueError:  # no system call was made
         raise InputError(f"{os.fspath(path)!r}: no name that a file can have: expected UTF-8 without a null") from None
     if not stat.S_ISREG(os.fstat(number).st_mode):
@@ -91,18 +93,15 @@ def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:
 
     Raises: InputError: there is no such file, or it is none. FormatError: it becomes shorter while it is read.
     """
-    try:
-        with open_file(path) as file:
-            size = os.fstat(file.fileno()).st_size
-            if size > MAX_READ_BYTES:
-                return np.memmap(file, np.uint8, "r")
-            room = np.empty(size + _CACHE_LINE_BYTES, np.uint8)
-            start = -room.ctypes.data % _CACHE_LINE_BYTES
-            content = room[start : start + size]
-            if file.readinto(content.data) != size:
-                raise FormatError(f"{path}: the file became shorter while it was read: try again")
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{path}: there is no such file") from None
+    with open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > MAX_READ_BYTES:
+            return np.memmap(file, np.uint8, "r")
+        room = np.empty(size + _CACHE_LINE_BYTES, np.uint8)
+        start = -room.ctypes.data % _CACHE_LINE_BYTES
+        content = room[start : start + size]
+        if file.readinto(content.data) != size:
+            raise FormatError(f"{path}: the file became shorter while it was read: try again")
     content.setflags(write=False)
     return content
 

@@ -132,14 +132,16 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
     path = Path(path)
     manifest = _manifest(path)
     files = {name: _tied(path, name, manifest) for name in manifest.names if name not in LATER}
-    code, evidence = _code(files[CODES], manifest.code), None
+    evidence: Evidence | None = None
+    negatives: Negatives | None = None
+    contrast: WordList | None = None
+    code = _code(files[CODES], manifest.code)
     if search_device != "cpu":
         from .codes.device_code import searched_on
 
         code = searched_on(code, search_device)
     if EVIDENCE in files:
         evidence = evidence_from_tensors(files[EVIDENCE].tensors, files[EVIDENCE].metadata, str(path / EVIDENCE))
-    negatives = contrast = None
     if NEGATIVES in files:
         embeddings = _embeddings(files[NEGATIVES], {"maxima": ("float32", "r")}, manifest.negatives, code.dim)
         negatives = Negatives(manifest.negatives, embeddings, files[NEGATIVES].tensors["maxima"])

@@ -20,7 +20,7 @@ from ..scene.moving import Moving, Span, canonical_of
 from ..scene.views import View
 from .answer import Match, MatchTrack
 from .query import Query
-from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
+from .relations import RELATIONS, SIDES, Relation, Up, is_beside, related
 from .tasks import meant_of
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _holds(
     if first is None or second is None:
         return False
     if view is not None and relation in SIDES:
-        return is_beside(view, cast("Side", relation), first, second)
+        return is_beside(view, relation, first, second)
     return bool(related(scene.moving.at(time), cast("Relation", relation), [first], second, up=scene.up))
 
 

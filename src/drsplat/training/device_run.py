@@ -37,20 +37,15 @@ MEMORY_DIVISOR = 4  # photos take at most a quarter of the free memory
 class DeviceOptimizer(Optimizer):
     """Parameters and moments on the device."""
 
-    def __init__(self, parameters: SceneParameters, engine: Engine) -> None:
-        super().__init__(parameters)
+    def __init__(self, engine: Engine, *arrays: SceneParameters) -> None:
+        super().__init__(*arrays)
         self.engine = engine
 
     @classmethod
     def sent(cls, optimizer: Optimizer, engine: Engine) -> "DeviceOptimizer":
         """Copy an optimizer to the device."""
-
-        def send(arrays: SceneParameters) -> SceneParameters:
-            return SceneParameters(*map(engine.xp.asarray, arrays))
-
-        device = cls(send(optimizer.parameters), engine)
-        device.first, device.second = send(optimizer.first), send(optimizer.second)
-        return device
+        groups = optimizer.parameters, optimizer.first, optimizer.second
+        return cls(engine, *(SceneParameters(*map(engine.xp.asarray, arrays)) for arrays in groups))
 
     def step(self, gradients: Slopes, rates: Rates, step: int, threads: int = 0) -> None:
         """Take one step of Adam, in place."""
@@ -78,11 +73,7 @@ class DevicePhotos:
             photo = self._photos[index]
             if photo.pixels.shape[:2] != (view.height, view.width):
                 photo = photo.smaller(*view.size)
-            unused = None
-            if len(photo.unused):
-                marks = np.zeros(photo.pixels.shape[:2], np.uint8)
-                marks.reshape(-1)[photo.unused] = 1
-                unused = self._xp.asarray(marks)
+            unused = None if photo.unused is None else self._xp.asarray(photo.unused.astype(np.uint8))
             sent = DevicePhoto(self._xp.asarray(np.ascontiguousarray(photo.pixels)), unused)
             size = sum(array.nbytes for array in sent if array is not None)
             if size > self._room:

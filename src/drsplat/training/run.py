@@ -198,13 +198,13 @@ class Run:
         self._lap("forward")
         # the loss; where the photo is masked, the rendering is its own target and nothing is learnt
         unused = photo.unused
-        if len(unused):
-            target.reshape(-1, 3)[unused] = drawn.image.reshape(-1, 3)[unused]
+        if unused is not None:
+            target[unused] = drawn.image[unused]
         loss = photometric_loss(drawn.image, target, self.settings.dssim_weight, threads=threads)
         if not math.isfinite(loss.value):
             raise self._diverged()
-        if len(unused):
-            loss.gradient.reshape(-1, 3)[unused] = 0
+        if unused is not None:
+            loss.gradient[unused] = 0
         self._lap("loss")
         gradients = drawn.backward(loss.gradient)
         if photo.left_out is not None:

@@ -33,6 +33,7 @@ from ...base.working import Held
 from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.morton import morton_codes, morton_order
 from ..evidence.aggregation.entries import with_entries
+from ..evidence.evidence import csr_of
 from ..evidence.pieces import HeldRows
 from ..forest import owner_nodes
 from .choosing import NONE, holding, pairs_above
@@ -111,8 +112,7 @@ class Nodes:
         points, weights = scene["points"][rows], self.weights.rows(rows)
         weights = with_entries(weights, scene["kept"][weights.indices] & (weights.data > 0))
         columns, indices = np.unique(weights.indices, return_inverse=True)
-        entries = (weights.data, indices.astype(np.int32), weights.indptr)
-        weights = csr_array(entries, shape=(len(rows), len(columns)))
+        weights = csr_of(weights.indptr, indices.astype(np.int32), weights.data, len(columns))
         views, masses, embeddings = (scene[name][columns] for name in ("views", "masses", "embeddings"))
         rest = np.maximum(masses - np.bincount(weights.indices, weights.data, len(columns)), 0)
         elsewhere = csr_array(np.where(rest > ROUNDING_SHARE * masses, rest, 0).astype(np.float32)[None])

@@ -39,7 +39,7 @@ from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
 from ..evidence.aggregation.entries import entry_rows
-from ..evidence.evidence import Evidence
+from ..evidence.evidence import Evidence, csr_of
 from ..evidence.pieces import HeldRows
 from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, by_number, check_forest
 from .choosing import Tree, pairs_above
@@ -111,8 +111,8 @@ class Describing:
     def __call__(self, nodes: Indices, threads: int) -> Arrays:
         held = self.scene.arrays
         begins, embeddings, views = held["begins"], held["embeddings"], held["views"]
-        weights = _csr(held["starts"], held["columns"], held["weights"], self.columns)[nodes]
-        inside = _csr(held["inside_starts"], held["inside"], np.ones(len(held["inside"])), len(begins) - 1)[nodes]
+        weights = csr_of(held["starts"], held["columns"], held["weights"], self.columns)[nodes]
+        inside = csr_of(held["inside_starts"], held["inside"], np.ones(len(held["inside"])), len(begins) - 1)[nodes]
         boxes = self._boxes(*_rows(inside, held["order"], begins), threads)
         masks = heaviest(weights, MAX_MASKS_PER_NODE)
         totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
@@ -148,7 +148,7 @@ class Summing:
         order, begins = self.scene.arrays["order"], self.scene.arrays["begins"]
         rows = np.concatenate([order[:0], *(order[begins[node] : begins[node + 1]] for node in nodes.tolist())])
         starts = np.append(0, np.cumsum(np.diff(begins)[nodes])).astype(np.int32)
-        own = _csr(starts, np.arange(len(rows), dtype=np.int32), np.ones(len(rows), np.float32), len(rows))
+        own = csr_of(starts, np.arange(len(rows), dtype=np.int32), np.ones(len(rows), np.float32), len(rows))
         summed = csr_array(own @ self.weights.rows(rows))
         return {"starts": np.diff(summed.indptr), "columns": summed.indices, "weights": summed.data}
 
@@ -209,15 +209,11 @@ def _summed(rows: HeldRows, inside: csr_array, by_node: tuple[np.ndarray, np.nda
     summing = Summing(rows, work.hold({"order": order, "begins": begins}))
     parts = [one.arrays for one in work(summing, runs, "adding up objects")]
     lengths, columns, data = (np.concatenate([one[name] for one in parts]) for name in ("starts", "columns", "weights"))
-    own = _csr(np.append(0, np.cumsum(lengths)), columns, data, rows.columns)
+    own = csr_of(np.append(0, np.cumsum(lengths)), columns, data, rows.columns)
     summed = csr_array(inside[:, nodes] @ own.astype(np.float64))
     summed.eliminate_zeros()
     summed.sort_indices()
     return summed
-
-
-def _csr(starts: np.ndarray, columns: np.ndarray, data: np.ndarray, count: int) -> csr_array:
-    return csr_array((data, columns, starts), shape=(len(starts) - 1, count))
 
 
 def _runs(counts: RowIds, most: int, many: int) -> list[np.ndarray]:
@@ -356,4 +352,4 @@ def heaviest(matrix: csr_array, most: int) -> csr_array:
     order = np.lexsort((matrix.indices, -matrix.data, rows))
     kept = order[np.arange(len(order)) - matrix.indptr[rows] < most]
     starts = np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
-    return csr_array((matrix.data[kept], matrix.indices[kept], starts), shape=matrix.shape)
+    return csr_of(starts, matrix.indices[kept], matrix.data[kept], matrix.shape[1])

@@ -184,7 +184,7 @@ def _added(
     back = [view.name for view in views] if options.views else ()
     return grow_field(
         path, scene, views, features, Path(options.features), renew=options.replace, back=back,
-        threads=options.threads, track=options.track,
+        **options.running,
     )  # fmt: skip
 
 

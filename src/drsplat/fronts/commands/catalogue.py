@@ -74,6 +74,7 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...query.catalogue import Catalogue
+    from ...scene.encoders import identity_text
 
     _check(options)
     catalogue = Catalogue.open(options.catalogue, **vars(options.encoders), threads=options.threads)
@@ -84,7 +85,12 @@ def run(options: Options) -> Facts:
             removed = {name: catalogue.remove(name) for name in options.given}
             done = {"removed": removed, "num_objects": len(catalogue)}
         case "list":
-            done = _list(catalogue)
+            scenes = catalogue.scenes()
+            done = {
+                "encoder": identity_text(catalogue.encoder),
+                "num_objects": sum(one.num_objects for one in scenes),
+                "scenes": _scenes_json(scenes),
+            }
         case "ask":
             done = _ask(options, catalogue)
         case _:
@@ -113,17 +119,6 @@ def _add(options: Options, catalogue: Catalogue) -> Facts:
         for path in options.given
     ]
     return {"scenes": _scenes_json(listed), "num_objects": len(catalogue), "wants_index": catalogue.wants_index}
-
-
-def _list(catalogue: Catalogue) -> Facts:
-    from ...scene.encoders import identity_text
-
-    scenes = catalogue.scenes()
-    return {
-        "encoder": identity_text(catalogue.encoder),
-        "num_objects": sum(one.num_objects for one in scenes),
-        "scenes": _scenes_json(scenes),
-    }
 
 
 def _ask(options: Options, catalogue: Catalogue) -> Facts:

@@ -158,7 +158,7 @@ def _trained(rows: Array, encoder: EncoderIdentity, options: Options) -> tuple[C
     drawn = unit_rows(rows, np.sort(order[share:][:MAX_TRAINING_POINTS]), path)
     codebook = train_codebook(
         drawn, options.subvectors, encoder=encoder, seed=options.seed,
-        threads=options.threads, track=options.track,
+        **options.running,
     )  # fmt: skip
     codes = codebook.encode(held_out, threads=options.threads)
     cosines = (held_out * codebook.decode(codes)).sum(1) * codebook.inverse_norms(codes)

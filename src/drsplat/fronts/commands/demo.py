@@ -43,7 +43,7 @@ def run(options: Options) -> Facts:
     folder, threads = Path(options.output_dir), options.threads
     watch, page = Stopwatch(), folder / PAGE
     with resumable(folder, options.overwrite):
-        story = tell(folder, overwrite=True, anew=options.overwrite, threads=threads, track=options.track)
+        story = tell(folder, overwrite=True, anew=options.overwrite, **options.running)
         watch.lap("story")
         pictures = write_album(folder, story, overwrite=True)
         watch.lap("pictures")

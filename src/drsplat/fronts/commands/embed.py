@@ -268,7 +268,7 @@ def _chosen_views(options: Options, views: list[View], scene: Gaussians | None) 
         return views, None
     enough, most = (1.0, asked) if isinstance(asked, int) else (ENOUGH_SHARE, None)
     choice = choose_views(
-        scene, views, enough=enough, most=most, threads=options.threads, track=options.track
+        scene, views, enough=enough, most=most, **options.running
     )  # fmt: skip
     return sorted(choice.views, key=lambda view: view.name), choice.seen[-1] if choice.seen else 0.0
 

@@ -108,7 +108,7 @@ def _named_objects(path: Path) -> Facts:
     from ...scene.labelled import numbers_of
 
     if path.suffix.lower() in (".glb", ".gltf"):
-        names = [(one.number, one.name) for one in names_in_glb(path)]
+        names = names_in_glb(path)
     else:
         things = read_labels(path).things
         names = list(zip(numbers_of(things), (thing.name for thing in things), strict=True))

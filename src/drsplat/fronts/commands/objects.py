@@ -196,18 +196,17 @@ def _with_objects(options: Options) -> Scene:
     if scene.field.objects is not None and not (options.again or options.vote):
         return scene
     parts = options.parts or str(parts_of(path))
-    shared: dict[str, Any] = {"threads": options.threads, "track": options.track}
     with claimed_output(path):
         if tiles is not None:
             from ...field.tiles import finding as in_tiles
 
             launcher = options.workers.launcher(options.threads)
-            objects = in_tiles.find_objects(scene.field, tiles, parts=parts, launcher=launcher, **shared)
+            objects = in_tiles.find_objects(scene.field, tiles, parts=parts, launcher=launcher, **options.running)
         elif options.vote:
             from ...photos.embedding.voting import vote_for_objects, votes_beside
 
             kept = votes_beside(path)
-            objects = vote_for_objects(scene.field, scene.gaussians, scene.views, kept=kept, **shared)
+            objects = vote_for_objects(scene.field, scene.gaussians, scene.views, kept=kept, **options.running)
         else:
             from ...field.objects.finding import find_objects
 

@@ -78,6 +78,8 @@ def left_out(names: Sequence[str], without: str | None) -> set[str]:
 
     Raises: InputError: no such file, names that no photo has, all photos, or none.
     """
+    from ...formats.photo_files import listed
+
     if without is None:
         return set()
     if without.startswith(EVERY_PREFIX):
@@ -87,30 +89,23 @@ def left_out(names: Sequence[str], without: str | None) -> set[str]:
             raise InputError(f"--without {without}: {error}") from None
         chosen = set(sorted(names)[::step])
     else:
-        chosen = _listed(names, without)
+        if not Path(without).is_file():
+            raise InputError(
+                f"--without {without}: there is no such file: expected one with a photo's name on each line, or every:N"
+            )
+        by_name = {Path(name).with_suffix("").as_posix(): name for name in names} | {name: name for name in names}
+        wanted = lines_of(without, "a photo's name")
+        unknown = [name for name in wanted if name not in by_name]
+        if unknown:
+            raise InputError(
+                f"--without {without}: no photo has these names: {listed(unknown)}. Photos are named like {min(names)}"
+            )
+        chosen = {by_name[name] for name in wanted}
     if not chosen or len(chosen) == len(set(names)):
         raise InputError(
             f"--without {without}: leaves out {len(chosen)} of {len(set(names))} photos: name some, not all"
         )
     return chosen
-
-
-def _listed(names: Sequence[str], path: str) -> set[str]:
-    from ...formats.photo_files import listed
-
-    by_name = {Path(name).with_suffix("").as_posix(): name for name in names}
-    by_name |= {name: name for name in names}
-    if not Path(path).is_file():
-        raise InputError(
-            f"--without {path}: there is no such file: expected one with a photo's name on each line, or every:N"
-        )
-    wanted = lines_of(path, "a photo's name")
-    unknown = [name for name in wanted if name not in by_name]
-    if unknown:
-        raise InputError(
-            f"--without {path}: no photo has these names: {listed(unknown)}. Photos are named like {min(names)}"
-        )
-    return {by_name[name] for name in wanted}
 
 
 def lines_of(path: str, what: str) -> list[str]:
@@ -156,6 +151,11 @@ class Verb:
         from ...base.progress import track
 
         return partial(track, quiet=self.json)
+
+    @property
+    def running(self) -> dict[str, Any]:
+        """Arguments of functions that take long: their threads and their progress."""
+        return {"threads": self.threads, "track": self.track}
 
 
 @declaration

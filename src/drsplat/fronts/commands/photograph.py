@@ -95,7 +95,7 @@ def run(options: Options) -> Facts:
     watch.lap("read")
     record = photograph(
         scene, options.output, settings, name=Path(options.scene).resolve().name, path=path,
-        overwrite=options.overwrite, threads=options.threads, track=options.track,
+        overwrite=options.overwrite, **options.running,
     )  # fmt: skip
     watch.lap("photograph")
     return {"capture": options.output, "pictures": "renderings", **record, **watch.measures()}

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     Asked = Mapping[str, Any]
 
-ENDINGS_WITHOUT_SCENE = (".npy", ".json", ".csv")  # of outputs that hold no Gaussians
 FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its scene and photos"
 TEXT, *OTHER_FIELDS = fields(Place.COMMAND_LINE)
 RULES = {
@@ -215,7 +214,7 @@ class Outputs:
 
         scene = open_scene(field, scene=self.scene, views=self.views, **vars(self.photos), **others)
         drawn = self.picture is not None
-        if drawn or (self.save is not None and not self.save.lower().endswith(ENDINGS_WITHOUT_SCENE)):
+        if drawn or (self.save is not None and not self.save.lower().endswith(".npy")):  # which holds no Gaussians
             _ = scene.rows  # or the error that says what is missing, before any work
         if drawn:
             scene.best_view()

@@ -44,7 +44,7 @@ def run(options: Options) -> Facts:
         known = field.evidence.masks.view_names if field.evidence else ()
         before = field.growth.removed if field.growth else ()  # a command that is given again means the same views
         names = views_named(options.views, [*known, *before])
-        return remove_views(field, gaussians, names, threads=options.threads, track=options.track)
+        return remove_views(field, gaussians, names, **options.running)
 
     vote = partial(
         vote_for_objects, gaussians=canonical_of(gaussians), views=(), kept=votes_beside(path), threads=options.threads

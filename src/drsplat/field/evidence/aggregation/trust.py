@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import DoubleRows, Doubles, Integer, RowIds, WholeNumbers
+from ....base.arrays import DoubleRows, Doubles
 from ..evidence import Evidence
-from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, with_weights
+from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, view_runs, with_weights
 from .outliers import agreements
 
 PARTS_PER_PIXEL = float(1 << 28)  # sums of 2^53 of them are exact, 33 million pixels
@@ -45,7 +45,7 @@ class MaskTrust:
         for rows in row_chunks(weights):
             entries = slice(weights.indptr[rows.start], weights.indptr[rows.stop])
             columns = weights.indices[entries]
-            runs = _runs(views[columns], weights.indptr[rows.start : rows.stop + 1] - entries.start)
+            runs = view_runs(views[columns], weights.indptr[rows.start : rows.stop + 1] - entries.start)
             if len(columns):  # multiply by the mean trust of each photo's masks in each row
                 votes = weights.data[entries]
                 held = np.add.reduceat(votes.astype(np.float64), runs)
@@ -87,11 +87,3 @@ def tally(evidence: Evidence, threads: int = 0) -> Tally:
 def _in_order(values: DoubleRows) -> Doubles:
     """Return the sum of each row, added up from its beginning: zeros at its end change no bit."""
     return np.cumsum(values, axis=1)[:, -1]
-
-
-def _runs(views: RowIds, starts: WholeNumbers) -> Integer[np.ndarray, " p"]:
-    """Return where the votes of another photo, or of another row, begin; votes of a photo are adjacent."""
-    new = np.zeros(len(views) + 1, np.bool_)
-    new[1:-1] = views[1:] != views[:-1]
-    new[starts] = True
-    return np.flatnonzero(new[:-1])

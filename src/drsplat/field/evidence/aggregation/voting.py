@@ -23,6 +23,7 @@ from ....base.arrays import (
 from ....kernels import weighted_rows
 from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
+from .entries import view_runs
 
 SUPPORT_TOLERANCE = 1e-5  # relative: float32 products differ between processors
 PARTS_PER_ONE = float(1 << 21)  # products of two are sums of 2^-42, and 2^53 of those are exact
@@ -193,12 +194,7 @@ def view_sums(evidence: Evidence) -> ViewSums:
     """Add up W's columns of each view; the evidence has its columns in canonical order."""
     weights = evidence.weights
     views = evidence.masks.views[weights.indices]
-    first = np.empty(len(views), np.bool_)
-    first[:1] = True
-    np.not_equal(views[1:], views[:-1], out=first[1:])
-    lengths = np.diff(weights.indptr)
-    first[weights.indptr[:-1][lengths > 0]] = True
-    starts = np.flatnonzero(first)
+    starts = view_runs(views, weights.indptr)
     if not len(starts):
         return ViewSums(starts, views, np.empty(0), starts)
     sums = np.add.reduceat(weights.data, starts, dtype=np.float64)
