@@ -18,15 +18,11 @@ COMPILER = shutil.which("g++") or shutil.which("clang++")
 NUMBERS = {"int": ctypes.c_int, "u32": ctypes.c_uint, "float": ctypes.c_float, "i64": ctypes.c_longlong}
 
 
+@cache
 def compiled() -> Path:
     """Return a folder for what is compiled, one for this process; skips the test where there is no compiler."""
     if COMPILER is None:
         pytest.skip("needs a C++ compiler, to run CUDA kernels on the CPU")
-    return _folder()
-
-
-@cache
-def _folder() -> Path:
     folder = Path(tempfile.mkdtemp(prefix="cuda_on_cpu"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder

@@ -110,27 +110,26 @@ def imports_of(path: Path) -> set[str]:
     return {place_of(name) for name in parts if name[0] in WINGS}
 
 
-every_module = pytest.mark.parametrize(
-    "path", sorted(SOURCE.rglob("*.py")), ids=lambda path: path.relative_to(SOURCE).as_posix()
-)
+MODULES = sorted(SOURCE.rglob("*.py"))
 
 
-@every_module
-def test_imports_go_one_way(path):
-    parts = list(path.relative_to(SOURCE).with_suffix("").parts)
-    if parts[-1] == "__init__":  # of a wing names modules of its rooms, but loads none
-        return
-    assert parts[0] in WINGS, f"give the new module '{parts[0]}' its place in WINGS"
-    own = ORDER.index(place_of(parts))
-    upwards = {name for name in imports_of(path) if ORDER.index(name) > own}
-    assert not upwards, f"{place_of(parts)} comes before {upwards}"
+def test_imports_go_one_way():
+    """But a wing's `__init__` names modules of its rooms, and loads none."""
+    upwards = {}
+    for path in MODULES:
+        parts = path.relative_to(SOURCE).with_suffix("").parts
+        assert parts[0] in {*WINGS, "__init__"}, f"give the new module '{parts[0]}' its place in WINGS"
+        if parts[-1] != "__init__":
+            own = ORDER.index(place_of(list(parts)))
+            upwards[path] = {name for name in imports_of(path) if ORDER.index(name) > own}
+    assert {path: names for path, names in upwards.items() if names} == {}
 
 
 def test_no_two_modules_need_each_other():
     def name_of(path: Path) -> str:
         return ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
 
-    paths = {name_of(path): path for path in SOURCE.rglob("*.py")}
+    paths = {name_of(path): path for path in MODULES}
     left = {}
     for name, path in paths.items():
         named = imported(path, types=False)
@@ -141,7 +140,7 @@ def test_no_two_modules_need_each_other():
 
 
 def test_annotations_of_arrays_are_from_one_module():
-    asking = [path for path in SOURCE.rglob("*.py") if "from jaxtyping" in path.read_text(encoding="utf-8")]
+    asking = [path for path in MODULES if "from jaxtyping" in path.read_text(encoding="utf-8")]
     assert asking == [SOURCE / "base/arrays.py"]
 
 
@@ -173,13 +172,13 @@ def test_a_wing_says_where_to_begin_and_what_it_imports(wing):
 )
 def test_a_rule_is_written_once(written):
     """Beside the twins, whose point is to be written again."""
-    found = [path.name for path in SOURCE.rglob("*.py") if written in path.read_text(encoding="utf-8")]
+    found = [path.name for path in MODULES if written in path.read_text(encoding="utf-8")]
     assert len(found) <= 1, found
 
 
 def test_docstrings_begin_with_whole_sentences():
     half = re.compile(r'^ *r?"""(Of|As|What|Who|Whoever|Where|Whether|From) .*', re.MULTILINE)
-    assert {path: words for path in SOURCE.rglob("*.py") if (words := half.findall(path.read_text()))} == {}
+    assert {path: words for path in MODULES if (words := half.findall(path.read_text()))} == {}
 
 
 VERBS = set(
@@ -201,7 +200,7 @@ VERBS = set(
 
 def test_docstrings_of_functions_begin_with_a_verb():
     """But those of properties, which say what they are."""
-    assert {path: lines for path in sorted(SOURCE.rglob("*.py")) if (lines := nouns_first(path))} == {}
+    assert {path: lines for path in MODULES if (lines := nouns_first(path))} == {}
 
 
 def nouns_first(path: Path) -> list[str]:
@@ -211,13 +210,16 @@ def nouns_first(path: Path) -> list[str]:
     return [line for line in lines if line.split()[0].rstrip(",:;") not in VERBS]
 
 
-@every_module
-def test_no_module_gives_a_name_twice(path):
+def test_no_module_gives_a_name_twice():
     """The second would be meant where the first is read: so a joined module reads another's constant."""
+    assert {path: names for path in MODULES if (names := given_twice(path))} == {}
+
+
+def given_twice(path: Path) -> list[str]:
     names: list[str] = []
     for node in parsed(path).body:
         if isinstance(node, ast.Assign):
             names += [name.id for target in node.targets for name in ast.walk(target) if isinstance(name, ast.Name)]
         elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
             names.append(node.target.id)
-    assert [name for name, count in Counter(names).items() if count > 1 and name != "__all__"] == []
+    return [name for name, count in Counter(names).items() if count > 1 and name != "__all__"]
