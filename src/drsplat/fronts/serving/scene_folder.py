@@ -142,7 +142,7 @@ class SceneFolder:
         return number
 
     def summaries(self) -> list[Summary]:
-        """Summarise each scene by the manifest of its field."""
+        """Return what the manifest of each field says of its scene."""
         return [self._summary(name, folder) for name, folder in self.folders().items()]
 
     def _summary(self, name: str, folder: Path) -> Summary:
