@@ -37,7 +37,7 @@ from drsplat.query import Match
 from drsplat.query.catalogue import Catalogue, Conditions, SceneEntry
 from drsplat.query.catalogue.changes import replace_scene
 from drsplat.query.catalogue.nearest import ANYWHERE, Search, nearest_objects
-from drsplat.query.catalogue.rows import scene_arrays
+from drsplat.query.catalogue.rows import Kept, scene_arrays
 from drsplat.query.catalogue.snapshot import Record
 from drsplat.query.sketch import Packed, Sketch
 
@@ -81,12 +81,11 @@ def add(path: Path, name: str, parts: list[np.ndarray], thumbnails: list[bytes])
     centers, extents = rng.uniform(-5, 5, (number, 3)), rng.uniform(0.05, 1, (number, 3))
     axes, gaussians = Rotation.random(number, rng).as_matrix(), np.zeros(5, np.int64)
     matches = [Match(centers[k], axes[k], extents[k], 1.0, gaussians, object_id=k) for k in range(number)]
-    records = [
-        Record(0, int(rng.integers(40, 5000)), int(rng.integers(2, 40)), rng.random(), None, f"word {k}",
-               f"frame_{k:05d}.jpg", k % 60)
-        for k in range(number)
-    ]  # fmt: skip
-    arrays = scene_arrays(matches, parts, CLIP.dim, records, thumbnails, sketch(parts).to_bytes())
+    kept = [
+        Kept(match, own, Record(0, 40 + 9 * k, 2 + k % 40, rng.random(), None, f"word {k}", f"{k:05d}.jpg", k), data)
+        for k, (match, own, data) in enumerate(zip(matches, parts, thumbnails, strict=True))
+    ]
+    arrays = scene_arrays(kept, CLIP.dim, sketch(parts).to_bytes())
     entry = SceneEntry(name, number, number, datetime.now(UTC), "0" * 32, "", "unknown")
     with claimed_output(path, 60.0):
         replace_scene(path, entry, arrays, CLIP)

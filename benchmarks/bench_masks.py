@@ -9,6 +9,7 @@ photos. Without --photo it cuts a made picture of 640x480 pixels.
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/support")
 
 from twins import photo_network
 from twins import photo_regions as twin
-from twins.photo_merging import Merging
+from twins.photo_merging import Merging, likelihood
 
 
 class Stages:
@@ -61,7 +62,7 @@ class Stages:
         }
 
     def _merged_by_twin(self, graph: native.RegionGraph) -> np.ndarray:
-        merging = Merging(graph, self.rule.likelihood)
+        merging = Merging(graph, partial(likelihood, self.rule))
         merging.merge_above(self.limits[0])
         merging.merge_small(*self.limits[1:])
         return merging.labels()

@@ -146,10 +146,8 @@ def single(args: argparse.Namespace) -> dict[str, object]:
             f"largest error {errors['default']:.1e} (v3: {errors['v3']:.1e})"
         )
         for name in (ours, AVX2) if {AVX2, FAISS} <= rows.keys() else ():
-            least = rows[name]["min_ms"]
-            print(
-                f"  {name}: {rows[FAISS]['min_ms'] / least:.2f} x FAISS IndexPQ, {limit / least:.0%} of the read limit"
-            )
+            faster, share = (other / rows[name]["min_ms"] for other in (rows[FAISS]["min_ms"], limit))
+            print(f"  {name}: {faster:.2f} x FAISS IndexPQ, {share:.0%} of the read limit")
         found[str(parts)] = {"rows": rows, "read_limit_ms": limit, "largest_error": errors}
         del rivals, features
     return found

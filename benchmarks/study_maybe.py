@@ -19,6 +19,7 @@ import json
 import sys
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -169,13 +170,10 @@ def main() -> None:
             if folder is None:
                 continue
             words = make(folder)
-            for kind in KINDS:
-                for wrong in WRONG:
-                    for seed in range(SEEDS):
-                        own = list(asked(trial(place, words, kind, wrong, seed)))
-                        found[place.name] += own
-                        found[f"{make.__name__}, {kind}"] += own
-                        found["all"] += own
+            for kind, wrong, seed in product(KINDS, WRONG, range(SEEDS)):
+                own = list(asked(trial(place, words, kind, wrong, seed)))
+                for part in (place.name, f"{make.__name__}, {kind}", "all"):
+                    found[part] += own
         print(f"{place.name}: {len(found[place.name])} words", flush=True)
     curve = []
     for spreads in SPREADS:

@@ -14,9 +14,9 @@ import last_skipped
 import slow_tests
 from browsing import a_browser
 from drsplat.evaluation.demo import story as household
-from edited_rooms import write_room
 from furnished.story import Story, tell
 from growing_rooms import full_room, half_room  # noqa: F401  (fixtures)
+from toy_capture import write_balls
 
 COSTLY = "household_story"
 settings.register_profile("suite", max_examples=30, deadline=None)  # laws that need more, or fewer, say so
@@ -87,7 +87,7 @@ def household_story(household_folder: Path) -> household.Story:
 @pytest.fixture(scope="session")
 def edited_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A red and a blue ball, a field that knows both as objects, the photos' poses."""
-    return write_room(tmp_path_factory.mktemp("edited"))
+    return write_balls(tmp_path_factory.mktemp("edited"))
 
 
 @pytest.fixture(scope="module")

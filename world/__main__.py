@@ -47,7 +47,7 @@ def write_scene(folder: Path, plan: argparse.Namespace) -> None:
     about = {"world": VERSION, "split": split.name, "seed": seed, "cameras": plan.cameras, "spp": plan.spp}
     write_truth(folder, room, shots, {**about, "scene": scene})
     write_lerf(folder / "lerf_ovs", scene, room, shots, from_depth(shots, 20_000, rng))
-    write_scannet(folder / "scannet", scene, room, shots, of_surfaces(room, shots, rng))
+    write_scannet(folder / "scannet", scene, room, of_surfaces(room, shots, rng))
 
 
 def _arguments() -> argparse.Namespace:

@@ -2,7 +2,7 @@
 
 OUTPUT/truth.json, OUTPUT/ids/*.png, OUTPUT/depth/*.npz
 OUTPUT/lerf_ovs/SCENE/{images,sparse/0}, OUTPUT/lerf_ovs/label/SCENE/frame_XXXXX.{json,jpg}
-OUTPUT/scannet/SCENE/{SCENE_vh_clean_2.labels.ply, points3d.ply, color, transforms_*.json, ...}
+OUTPUT/scannet/SCENE/{SCENE_vh_clean_2.labels.ply, SCENE_vh_clean_2.0.010000.segs.json, SCENE.aggregation.json}
 """
 
 import json
@@ -27,8 +27,7 @@ NYU40 = {
     "rug": 20, "book": 23, "box": 29, "lamp": 35, "stool": 39,
 }  # fmt: skip
 OTHER_PROP = 40  # NYU40's word for things it has no class for
-NO_FACES = "element face 0\nproperty list uchar int vertex_indices"
-_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # camera axes right, up, back
+NO_FACES = ("element face 0", "property list uchar int vertex_indices")
 
 
 def phrase(color: str, name: str) -> str:
@@ -124,44 +123,25 @@ def _write_colmap(folder: Path, views: list[View], points: Points) -> None:
         (folder / f"{name}.txt").write_text("\n".join([f"# {name}", *lines, ""]), encoding="utf-8")
 
 
-def write_scannet(folder: Path, scene: str, room: Room, shots: list[Shot], points: Points) -> None:
-    """The labelled cloud, its instances, photos and OpenGL poses; every eighth photo is for testing."""
+def write_scannet(folder: Path, scene: str, room: Room, points: Points) -> None:
+    """The labelled cloud and its instances."""
     place = folder / scene
-    (place / "color").mkdir(parents=True)
+    place.mkdir(parents=True)
     names = [o.thing.name for o in room.objects] + [s.name for s in room.structures]
     labels = np.array([NYU40.get(name, OTHER_PROP) for name in names], np.uint16)[points.ids]
     columns = {
         **{axis: points.positions[:, k].astype(np.float32) for k, axis in enumerate("xyz")},
         **{name: points.colors[:, k] for k, name in enumerate(("red", "green", "blue"))},
+        "alpha": np.full(len(labels), 255, np.uint8),
+        "label": labels,
     }
-    known = {"alpha": np.full(len(labels), 255, np.uint8), "label": labels}
-    normals = {axis: np.zeros(len(labels), np.float32) for axis in ("nx", "ny", "nz")}
-    (place / f"{scene}_vh_clean_2.labels.ply").write_bytes(ply({**columns, **known}, NO_FACES))
-    (place / "points3d.ply").write_bytes(ply({**columns, **normals}, NO_FACES))
-    for shot in shots:
-        _save_photo(shot, place / "color" / shot.view.name)
-    views = [shot.view for shot in shots]
-    _write_json(place / "transforms_train.json", _transforms([v for k, v in enumerate(views) if k % HELD_OUT]))
-    _write_json(place / "transforms_test.json", _transforms(views[::HELD_OUT]))
+    (place / f"{scene}_vh_clean_2.labels.ply").write_bytes(ply(columns, *NO_FACES))
     _write_json(place / f"{scene}_vh_clean_2.0.010000.segs.json", {"sceneId": scene, "segIndices": points.ids.tolist()})
     groups = [
         {"id": n, "objectId": n, "segments": [k], "label": names[k]}
         for n, k in enumerate(np.unique(points.ids).tolist())
     ]
     _write_json(place / f"{scene}.aggregation.json", {"sceneId": scene, "segGroups": groups})
-
-
-def _transforms(views: list[View]) -> dict[str, Any]:
-    v = views[0]
-    frames = [
-        {"file_path": f"color/{view.name}", "transform_matrix": (np.linalg.inv(view.cam_from_world) @ _OPENGL).tolist()}
-        for view in views
-    ]
-    return {
-        "camera_model": "PINHOLE", "w": v.width, "h": v.height, "fl_x": v.K[0, 0], "fl_y": v.K[1, 1],
-        "cx": v.K[0, 2], "cy": v.K[1, 2], "camera_angle_x": float(2 * np.arctan(v.width / (2 * v.K[0, 0]))),
-        "frames": frames,
-    }  # fmt: skip
 
 
 def ply(columns: dict[str, np.ndarray], *more: str) -> bytes:

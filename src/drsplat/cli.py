@@ -213,7 +213,7 @@ def _run(argv: list[str]) -> int:
         os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(options.threads)))
     with _warnings_as_lines(flags, options.debug):
         try:
-            with _device(command, options):
+            with _on_device(command, options):
                 answer = command.run(options)
         except (DrSplatError, KeyboardInterrupt) as error:
             if isinstance(error, KeyboardInterrupt) and not error.args and hasattr(command, "interrupted"):
@@ -228,7 +228,7 @@ def _run(argv: list[str]) -> int:
     return 0
 
 
-def _device(command: ModuleType, options: "Verb") -> AbstractContextManager[None]:
+def _on_device(command: ModuleType, options: "Verb") -> AbstractContextManager[object]:
     """Draw and register where a verb says, if it has a choice. Raises: MissingExtraError: there is no such GPU."""
     if not hasattr(command, "device"):
         return nullcontext()
@@ -261,7 +261,9 @@ def _as_json(value: object) -> object:
 
 
 def _failed(error: BaseException, kind: str, code: int, as_json: bool) -> int:
-    message = _without_number(error) or kind
+    message = str(error) or kind
+    if isinstance(error, OSError) and error.strerror:  # without its number
+        message = ": ".join(str(part) for part in (error.filename, error.strerror) if part is not None)
     print(f"drsplat: error: {plain(message)}", file=sys.stderr)
     try:
         if as_json:
@@ -270,13 +272,6 @@ def _failed(error: BaseException, kind: str, code: int, as_json: bool) -> int:
     except OSError:  # what failed may be stdout itself
         _drop_stdout()
     return code
-
-
-def _without_number(error: BaseException) -> str:
-    """Return an error's message; of one of the system, the file and the reason without its number."""
-    if isinstance(error, OSError) and error.strerror:
-        return ": ".join(str(part) for part in (error.filename, error.strerror) if part is not None)
-    return str(error)
 
 
 def _drop_stdout() -> None:
@@ -296,12 +291,12 @@ def _warnings_as_lines(flags: Mapping[str, str], debug: bool) -> Iterator[None]:
         shown = warnings.showwarning
         went_wrong = False
 
-        def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
             nonlocal went_wrong
             if issubclass(category, DrSplatWarning):
                 _warn(spelled(str(message), flags))
             elif debug:
-                shown(message, category, *place)
+                shown(message, category, *place, **more)
             elif issubclass(category, RuntimeWarning) and not went_wrong:
                 went_wrong = True
                 _warn(ODD_NUMBERS)

@@ -17,6 +17,10 @@ class InputError(DrSplatError, ValueError):
     """An argument is out of its range or has the wrong shape."""
 
 
+class MissingFileError(InputError, FileNotFoundError):
+    """There is no file of this name."""
+
+
 class FormatError(DrSplatError, ValueError):
     """A file is damaged, truncated or not what its name says."""
 

@@ -35,14 +35,14 @@ from drsplat.authoring.editing import (
 )
 from drsplat.authoring.editing.edits import Change
 from drsplat.authoring.editing.fill_record import Clones, FillRecord
-from drsplat.authoring.editing.replacement import placed_in
+from drsplat.authoring.editing.replacement import fitted
 from drsplat.drawing.heat import LUMA
 from drsplat.errors import DrSplatWarning, MismatchError
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.kernels.boxes import box_of
-from drsplat.scene.gaussians import SH_C0
+from drsplat.scene.gaussians import SH_C0, concatenated
 from refusing import malformed, refused
-from scenes import look_at_view, random_gaussians
+from scenes import gaussians_at, look_at_view, random_gaussians
 
 COUNT = 60
 UP = np.array([0.0, 0, 1])
@@ -209,12 +209,8 @@ def test_rows_of_another_scene_are_refused(scene):
 # --- replaced, and filled ---
 
 
-def block(center: tuple, size: tuple, count: int = 400, seed: int = 0, color: tuple = (0.5, 0.5, 0.5)) -> Gaussians:
-    rng = default_rng(seed)
-    means = (np.array(center) + (rng.random((count, 3)) - 0.5) * size).astype(np.float32)
-    sh = np.broadcast_to((np.array(color) - 0.5) / SH_C0, (count, 1, 3)).astype(np.float32)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (count, 1))
-    return Gaussians(means, quats, np.full((count, 3), 0.01, np.float32), np.full(count, 0.9, np.float32), sh)
+def block(center: tuple, size: tuple, count: int = 400, seed: int = 0) -> Gaussians:
+    return gaussians_at(np.array(center) + (default_rng(seed).random((count, 3)) - 0.5) * size, 0.01)
 
 
 def test_edits_make_no_more_rows_than_they_may(scene, monkeypatch):
@@ -272,7 +268,7 @@ def test_a_replacement_stands_where_the_object_stood(tmp_path):
     scene, other = block((1, 2, 0.5), (0.6, 0.3, 1.0)), block((-5, 0, 9), (2.0, 4.0, 2.0), seed=1)
     everything = np.arange(400)
     write_gaussians(tmp_path / "other.ply", other)
-    matrix = placed_in(scene, everything, UP, other, everything, UP)
+    matrix = fitted(box_of(scene, everything, UP), box_of(other, everything, UP))
     edit = of(everything, Replace("other.ply", other.fingerprint, matrix))
     listed = EditFile(tmp_path / "scene.edits.json").change(scene, lambda edits: edits.with_edit(edit))
     done = EditFile(tmp_path / "scene.edits.json").edited(scene, listed)
@@ -292,17 +288,9 @@ def on_a_floor() -> tuple[Gaussians, np.ndarray]:
     steps = np.linspace(-2, 2, 81)
     flat = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     flat = flat[(np.abs(flat) > 0.25).any(axis=1)]
-    count = len(flat)
-    floor = Gaussians(
-        np.column_stack([flat, np.zeros(count)]).astype(np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
-        np.tile(np.float32([0.04, 0.04, 0.003]), (count, 1)),
-        np.full(count, 0.95, np.float32),
-        np.broadcast_to((np.array([0.6, 0.4, 0.2]) - 0.5) / SH_C0, (count, 1, 3)).astype(np.float32),
-    )
+    floor = gaussians_at(np.column_stack([flat, np.zeros(len(flat))]), (0.04, 0.04, 0.003), (0.6, 0.4, 0.2), 0.95)
     thing = block((0, 0, 0.3), (0.5, 0.5, 0.58), 2000)
-    parts = [(getattr(floor, name), getattr(thing, name)) for name in ARRAYS]
-    return Gaussians(*(np.concatenate(pair) for pair in parts)), np.arange(count, count + 2000)
+    return concatenated([floor, thing]), np.arange(len(flat), len(flat) + 2000)
 
 
 def test_the_floor_goes_on_below_what_was_removed():

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from unittest.mock import patch
 
@@ -10,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from command_line import Capture, answer_of, error_of, text_of
-from drsplat import Gaussians, Scene, open_scene, read_gaussians, write_gaussians
+from drsplat import Scene, open_scene, read_gaussians, write_gaussians
 from drsplat.authoring.editing import Duplicate, Edit, EditFile, Move, Remove, Rows
 from drsplat.authoring.editing.resolving import object_rows
 from drsplat.authoring.exporting import export, labelled
@@ -26,7 +27,7 @@ from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.scene.labelled import Annotation, LabelledScene, Thing
 from drsplat.scene.moving import Frames, Moving
 from glb_files import Read
-from scenes import random_gaussians
+from scenes import gaussians_at, random_gaussians
 from toy_capture import PER_THING
 
 HALF = np.float32([0, 0, 0.5])
@@ -258,10 +259,7 @@ def test_groups_that_a_part_is_in_stay_with_it():
 
     things = (thing("a", 2, 0), thing("b", 0, 1), thing("c", -1, 2))
     groups = (thing("g0", -1), thing("g1", -1), thing("g2", 1))
-    gaussians = Gaussians(
-        np.zeros((2, 3), np.float32), np.float32([[1, 0, 0, 0]] * 2), np.ones((2, 3), np.float32),
-        np.ones(2, np.float32), np.zeros((2, 1, 3), np.float32),
-    )  # fmt: skip
+    gaussians = gaussians_at(np.zeros((2, 3)))
     part = only_used(LabelledScene(gaussians, "s", things, groups, np.int32([0, -1])))
     assert [(one.name, one.parent, one.number) for one in part.things] == [("a", 1, 0)]
     assert [(one.name, one.parent) for one in part.groups] == [("g1", -1), ("g2", 0)]
@@ -295,6 +293,8 @@ def test_colors_can_be_fitted_to_bytes(room, capsys):
     ("suffix", "more"), [("glb", ()), ("ply", ()), ("usda", ()), ("sog", ()), ("spz", ("--spz-version", 4))]
 )
 def test_names_come_back_from_every_format_that_holds_them(room, capsys, suffix, more):
+    if suffix == "usda":
+        pytest.importorskip("pxr")
     scene, out = opened(room), room / f"part.{suffix}"
     answer_of(capsys, "objects", room / "room.field", "--id", 1, "--label", 'a/b "plate" 😀')
     given = ("--field", room / "room.field", "--object", 1, *more)
@@ -310,7 +310,9 @@ def test_names_come_back_from_every_format_that_holds_them(room, capsys, suffix,
 def test_a_file_with_objects_is_exported_with_them_again(room, capsys):
     """From format to format, without the field; after an edit the boxes are where the Gaussians are."""
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "0.glb")
-    chain = (("1.sog", ()), ("2.spz", ("--spz-version", 4)), ("2b.ply", ()), ("3.usda", ()), ("4.glb", ()))
+    chain = [("1.sog", ()), ("2.spz", ("--spz-version", 4)), ("2b.ply", ()), ("3.usda", ()), ("4.glb", ())]
+    if find_spec("pxr") is None:
+        chain.remove(("3.usda", ()))
     for place, (name, more) in enumerate(chain):
         source = room / ("0.glb" if not place else chain[place - 1][0])
         assert answer_of(capsys, "export", source, *more, "-o", room / name)["lacks"] == []
@@ -338,6 +340,7 @@ def test_a_copy_in_a_file_of_one_object_is_named_after_it(room, capsys):
 
 
 def test_labels_of_numbers_that_no_gaussian_has_are_refused(room, capsys):
+    pytest.importorskip("pxr")
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "a.usda")
     text = (room / "a.usda").read_text()
     for lie in ("int drsplat:number = 4294967295", "int drsplat:number = -2"):

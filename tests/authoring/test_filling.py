@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_edits import of, on_a_floor
-from test_loose_parts import ORANGE, a_thing_in_a_hole, grid, joined
-from test_loose_parts import of as gaussians_at
+from test_loose_parts import ORANGE, a_thing_in_a_hole, grid, wooden
 
 from drsplat import Gaussians
 from drsplat.authoring.editing import Edit, Fill, Remove, Rows, edited
 from drsplat.authoring.editing.draft import OBJECT_ID
 from drsplat.authoring.editing.ground import Ground
-from drsplat.authoring.editing.planes import Plane, planes_around, surfaces_around
+from drsplat.authoring.editing.planes import Plane, surfaces_around
 from drsplat.errors import DrSplatWarning
+from drsplat.scene.gaussians import concatenated
+from scenes import gaussians_at
 
 FLOOR, TABLE, OTHER, NOBODY = 0, 1, 2, -1
 FLAT = (0.015, 0.015, 0.001)
@@ -30,7 +31,7 @@ def same_places(scene: Gaussians, part: Gaussians) -> int:
 
 def with_owners(*parts: tuple[Gaussians, int]) -> Gaussians:
     owners = np.concatenate([np.full(len(part), owner, np.int32) for part, owner in parts])
-    return replace(joined(*(part for part, _ in parts)), extra={OBJECT_ID: owners})
+    return replace(concatenated([part for part, _ in parts]), extra={OBJECT_ID: owners})
 
 
 def below_a_table(patch_owner: int) -> tuple[Gaussians, np.ndarray, Gaussians]:
@@ -41,8 +42,8 @@ def below_a_table(patch_owner: int) -> tuple[Gaussians, np.ndarray, Gaussians]:
     legs = grid((-0.2, -0.2, 0.01), (0.2, 0.2, 0.3), 0.02)
     legs = legs[(np.abs(legs[:, :2]) > 0.17).all(axis=1)]
     patch = gaussians_at(floor[below], FLAT, ORANGE)
-    things = gaussians_at(np.concatenate([top, legs]))
-    scene = with_owners((gaussians_at(floor[~below], FLAT), FLOOR), (patch, patch_owner), (things, TABLE))
+    things = wooden(np.concatenate([top, legs]))
+    scene = with_owners((wooden(floor[~below], FLAT), FLOOR), (patch, patch_owner), (things, TABLE))
     return scene, np.flatnonzero(scene.extra[OBJECT_ID] == TABLE), patch
 
 
@@ -56,12 +57,14 @@ def test_what_is_nobodys_below_a_thing_hides_no_hole(owner, stay):
 def test_what_stands_off_a_floor_in_the_place_of_a_thing_goes():
     """It goes inside of the thing, and stays beside it, or where it is another's."""
     scene, block, _, _ = a_thing_in_a_hole()
-    spike = gaussians_at(grid((0, 0, 0.05), (0, 0, 0.25), 0.05))
+    spike = wooden(grid((0, 0, 0.05), (0, 0, 0.25), 0.05))
     beside = replace(spike, means=spike.means + np.float32([0.5, 0, 0]))
     first, owners = len(scene), scene.extra[OBJECT_ID]
     for owner, gone in ((FLOOR, True), (OTHER, False)):
         more = np.full(2 * len(spike), owner, np.int32)
-        whole = replace(joined(scene, spike, beside), extra={OBJECT_ID: np.concatenate([owners, more])})
+        whole = replace(
+            concatenated([replace(scene, extra={}), spike, beside]), extra={OBJECT_ID: np.concatenate([owners, more])}
+        )
         assert len(whole) == first + 2 * len(spike)
         after = filled(whole, block)
         assert same_places(after, spike) == (0 if gone else len(spike))
@@ -74,7 +77,7 @@ def test_a_hole_is_within_what_is_left_of_its_plane(high, around):
     floor = grid((-1, -1, 0), (1, high, 0), 0.02)
     floor = floor[(np.abs(floor[:, :2]) > 0.1).any(axis=1)]
     corner = np.array([[-1, 1, 0.0], [1, 1, 0.0]])  # so that cells reach there: too few to count
-    scene = gaussians_at(np.concatenate([floor, corner]), (0.015, 0.015, 0.001))
+    scene = wooden(np.concatenate([floor, corner]), FLAT)
     scene.opacities[-2:] = 0.01
     plane = Plane(np.array([0.0, 0, 1]), 0.0, np.eye(3)[:2], 0.02)
     ground = Ground(scene, plane, [], grid((-0.1, -0.1, 0.02), (0.1, 0.1, 0.3), 0.02))
@@ -98,7 +101,5 @@ def test_a_plane_across_things_is_no_surface():
     floor = np.column_stack([rng.uniform(-1, 1, (3000, 2)), np.zeros(3000)])
     thing = np.column_stack([rng.uniform(-0.2, 0.2, (500, 2)), rng.uniform(0, 0.4, 500)])
     below = np.column_stack([rng.uniform(-1, 1, (4000, 2)), rng.uniform(-1, -0.2, 4000)])
-    assert len(surfaces_around(thing, floor)) == len(planes_around(thing, floor)) == 1
-    both = np.concatenate([floor, below])
-    assert len(planes_around(thing, both)) == 1
-    assert not surfaces_around(thing, both)
+    assert len(surfaces_around(thing, floor)) == 1
+    assert not surfaces_around(thing, np.concatenate([floor, below]))

@@ -11,7 +11,8 @@ from drsplat.authoring.editing.draft import OBJECT_ID
 from drsplat.authoring.editing.ground import Surface, best_shift
 from drsplat.authoring.editing.resolving import completed, loose_parts
 from drsplat.errors import InputError
-from drsplat.scene.gaussians import SH_C0
+from drsplat.scene.gaussians import SH_C0, concatenated
+from scenes import gaussians_at
 
 TABLE, CAR, OTHER, SCRAP = range(4)
 WOOD, ORANGE = (0.6, 0.4, 0.2), (1.0, 0.4, 0.0)
@@ -22,17 +23,8 @@ def grid(low: tuple, high: tuple, step: float) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def of(means: np.ndarray, size: tuple = (0.012, 0.012, 0.012), color: tuple = WOOD) -> Gaussians:
-    count = len(means)
-    sh = np.broadcast_to((np.array(color) - 0.5) / SH_C0, (count, 1, 3)).astype(np.float32)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (count, 1))
-    scales = np.tile(np.float32(size), (count, 1))
-    return Gaussians(means.astype(np.float32), quats, scales, np.full(count, 0.9, np.float32), sh)
-
-
-def joined(*parts: Gaussians) -> Gaussians:
-    names = ("means", "quats", "scales", "opacities", "sh")
-    return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+def wooden(means: np.ndarray, size: float | tuple = 0.012) -> Gaussians:
+    return gaussians_at(means, size, WOOD)
 
 
 def a_car_on_a_table() -> tuple[Gaussians, np.ndarray, dict[str, np.ndarray]]:
@@ -45,7 +37,9 @@ def a_car_on_a_table() -> tuple[Gaussians, np.ndarray, dict[str, np.ndarray]]:
     owners = {"table": TABLE, "body": CAR, "left": TABLE, "right": SCRAP, "box": OTHER}
     ends = np.cumsum([0, *map(len, parts.values())])
     rows = {name: np.arange(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
-    scene = joined(of(table, (0.015, 0.015, 0.001)), *(of(parts[name]) for name in ("body", "left", "right", "box")))
+    scene = concatenated(
+        [wooden(table, (0.015, 0.015, 0.001)), *(wooden(parts[name]) for name in ("body", "left", "right", "box"))]
+    )
     return scene, np.concatenate([np.full(len(rows[name]), owners[name]) for name in parts]), rows
 
 
@@ -103,7 +97,7 @@ def a_hole_among_crumbs() -> tuple[Gaussians, np.ndarray]:
     crumbs = crumbs[(np.abs(crumbs[:, :2]) > 0.12).any(axis=1)]
     block = grid((-0.1, -0.1, 0.02), (0.1, 0.1, 0.3), 0.02)
     flat = (0.015, 0.015, 0.001)
-    scene = joined(of(floor, flat), of(crumbs, flat, ORANGE), of(block))
+    scene = concatenated([wooden(floor, flat), gaussians_at(crumbs, flat, ORANGE), wooden(block)])
     return scene, np.arange(len(floor) + len(crumbs), len(scene))
 
 
@@ -123,10 +117,10 @@ def test_what_lies_on_a_table_is_not_cloned_into_a_hole():
 def a_thing_in_a_hole() -> tuple[Gaussians, np.ndarray, Gaussians, Gaussians]:
     """The same with grime of the floor below the block, and a low thing that is an object of its own."""
     scene, block = a_hole_among_crumbs()
-    grime = of(grid((-0.05, -0.09, 0.002), (0.05, -0.08, 0.002), 0.01), (0.01, 0.01, 0.001))
-    thing = of(grid((-0.04, -0.04, 0.003), (0.04, 0.04, 0.009), 0.01), (0.005, 0.005, 0.005), ORANGE)
+    grime = wooden(grid((-0.05, -0.09, 0.002), (0.05, -0.08, 0.002), 0.01), (0.01, 0.01, 0.001))
+    thing = gaussians_at(grid((-0.04, -0.04, 0.003), (0.04, 0.04, 0.009), 0.01), (0.005, 0.005, 0.005), ORANGE)
     first = len(scene)
-    scene = joined(scene, grime, thing)
+    scene = concatenated([scene, grime, thing])
     owners = np.zeros(len(scene), np.int32)
     owners[block], owners[first + len(grime) :] = 1, 2
     return replace(scene, extra={OBJECT_ID: owners}), block, grime, thing

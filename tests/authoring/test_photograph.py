@@ -31,9 +31,10 @@ from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.rendering_record import RECORD, read_rendering_record
 from drsplat.formats.vocabulary import VocabularyEncoder
+from drsplat.scene.gaussians import concatenated
 from moving_scenes import still
 from refusing import refused
-from scenes import random_gaussians
+from scenes import gaussians_at, random_gaussians
 
 SMALL = PhotographSettings(number=6, size=(64, 48))
 UP = np.array([0.0, 0.0, 1.0])
@@ -48,16 +49,10 @@ def few_candidates(monkeypatch) -> None:
         monkeypatch.setattr(candidates, name, count)
 
 
-def gaussians_at(points: np.ndarray, size: float = 0.1, opacity: float = 0.95) -> Gaussians:
-    """Round grey Gaussians at some points."""
-    count = len(points)
-    return Gaussians(
-        points.astype(np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
-        np.full((count, 3), size, np.float32),
-        np.full(count, opacity, np.float32),
-        np.random.default_rng(0).normal(0, 0.5, (count, 1, 3)).astype(np.float32),
-    )
+def coloured_at(points: np.ndarray, size: float = 0.1, opacity: float = 0.95) -> Gaussians:
+    """Round Gaussians of random colours at some points."""
+    sh = np.random.default_rng(0).normal(0, 0.5, (len(points), 1, 3)).astype(np.float32)
+    return replace(gaussians_at(points, size, opacity=opacity), sh=sh)
 
 
 def room() -> Gaussians:
@@ -68,7 +63,7 @@ def room() -> Gaussians:
     turned = side[:, [1, 0, 2]]
     block = np.stack(np.meshgrid(*[np.arange(-0.3, 0.31, STEP)] * 2, np.arange(0.2, 0.9, STEP)), -1).reshape(-1, 3)
     mirrored = [wall * signs for wall, signs in ((side, (1, -1, 1)), (turned, (-1, 1, 1)))]
-    return gaussians_at(np.concatenate([floor, side, turned, *mirrored, block]))
+    return coloured_at(np.concatenate([floor, side, turned, *mirrored, block]))
 
 
 def thing(count: int = 200, **more: object) -> Gaussians:
@@ -174,23 +169,20 @@ def test_cameras_of_a_thing_are_around_it_and_look_at_it(tmp_path):
 
 def test_a_place_is_free_where_no_gaussian_is_around_it_or_right_before_it():
     far = np.array([[10.0, 0, 0], [-10, 0, 0], [0, 10, 0], [0, -10, 0], [0, 0, 2]] * 4)
-    wide = gaussians_at(np.array([[0.0, 0.0, 0.0]]), size=3.0, opacity=0.9)
-    space = Space(gaussians_at(far, size=0.5), UP)
+    wide = coloured_at(np.array([[0.0, 0.0, 0.0]]), size=3.0, opacity=0.9)
+    space = Space(coloured_at(far, size=0.5), UP)
     assert space.surroundings(np.zeros(3)).is_free
     assert not space.surroundings(np.array([9.8, 0.0, 0.0])).is_free  # inside of one
-    foggy = Gaussians(*(np.concatenate([getattr(a, name) for a in (space.gaussians, wide)]) for name in _ARRAYS))
+    foggy = concatenated([space.gaussians, wide])
     assert not Space(foggy, UP).surroundings(np.array([0.0, 0.0, 1.0])).is_free  # within the haze of the wide one
-
-
-_ARRAYS = ("means", "quats", "scales", "opacities", "sh")
 
 
 def test_all_directions_of_a_closed_room_show_something_and_few_of_a_lonely_thing():
     across = np.arange(-1, 1.01, 0.1)
     faces = np.stack(np.meshgrid(across, across, [1.0]), -1).reshape(-1, 3)
     closed = [np.roll(faces * sign, shift, axis=1) for sign in (1, -1) for shift in range(3)]
-    assert Space(gaussians_at(np.concatenate(closed)), UP).surroundings(np.zeros(3)).enclosed == 1
-    alone = Space(gaussians_at(np.full((20, 3), 5.0), size=0.01), UP)
+    assert Space(coloured_at(np.concatenate(closed)), UP).surroundings(np.zeros(3)).enclosed == 1
+    alone = Space(coloured_at(np.full((20, 3), 5.0), size=0.01), UP)
     assert alone.surroundings(np.zeros(3)).enclosed < 0.01
 
 
@@ -200,7 +192,7 @@ def test_up_is_away_from_the_floor_along_the_shortest_side(axis, sign):
     points = np.roll(room().means * (1, 1, sign), axis - 2, axis=1)
     expected = np.zeros(3)
     expected[axis] = sign
-    assert_array_equal(guessed_up(gaussians_at(points)), expected)
+    assert_array_equal(guessed_up(coloured_at(points)), expected)
 
 
 def test_up_of_a_scene_that_is_as_high_as_it_is_wide_is_that_of_colmap():
@@ -254,7 +246,7 @@ def test_what_cameras_see_is_counted_in_pixels_of_the_pictures():
     """One opaque Gaussian far away: its weight is its alpha, summed over all pixels."""
     sigma, distance, opacity = 0.5, 10.0, 0.5
     spread = np.array([[0.0, 0.0, 0.0]] + [[400.0 + n, 0, 0] for n in range(16)])  # the others are behind the camera
-    space = Space(gaussians_at(spread, size=sigma, opacity=opacity), UP)
+    space = Space(coloured_at(spread, size=sigma, opacity=opacity), UP)
     view = looking_at(np.array([distance, 0.0, 0.0]), np.zeros(3), UP, (400, 400), 60.0)
     seen = sights(space, [view])
     radius = view.K[0, 0] * sigma / distance

@@ -125,22 +125,15 @@ def test_a_holder_that_says_nonsense_is_another_process(said, tmp_path):
             pass
 
 
-def test_two_registrations_do_not_share_an_output(tmp_path, capsys):
-    with claimed_output(tmp_path / "x.field"):
-        said = error_of(capsys, "register", "scene.ply", "capture", "--features", "f", "-o", tmp_path / "x.field")
-    assert f"x.field is being written by process {os.getpid()}" in said
-
-
-def test_two_runs_do_not_embed_into_one_folder(tmp_path, capsys):
-    from PIL import Image
-
-    (tmp_path / "images").mkdir()
-    Image.new("RGB", (64, 48)).save(tmp_path / "images/a.png")
-    camera = {"fl_x": 60, "w": 64, "h": 48}
-    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    frames = [{"file_path": "images/a.png", "transform_matrix": pose}]
-    (tmp_path / "transforms.json").write_text(json.dumps(camera | {"frames": frames}))
-    with claimed_folder(tmp_path / "out"):
-        options = ("--segmenter", "graph", "--encoder", "drsplat-mini", "--output", tmp_path / "out")
-        said = error_of(capsys, "embed", tmp_path, *options)
-    assert "is being written by process" in said
+@pytest.mark.parametrize(
+    ("claim", "line"),
+    [
+        (claimed_output, "register scene.ply capture --features f"),
+        (claimed_folder, "embed capture --segmenter graph --encoder drsplat-mini"),
+    ],
+)
+def test_two_runs_do_not_share_an_output(claim, line, edited_room, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(edited_room)
+    with claim(tmp_path / "out"):
+        said = error_of(capsys, *line.split(), "--output", tmp_path / "out")
+    assert f"out is being written by process {os.getpid()}" in said

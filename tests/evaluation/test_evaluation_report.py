@@ -128,7 +128,7 @@ def lerf_result(pairs: dict[str, int], miou: float = 0.5) -> dict:
 
 def test_differences_are_shown_on_the_same_data_only():
     first, *_ = tables.tables_of([lerf_result(tables.LERF_PAIRS)])
-    gaps = next(row for row in first.rows if row[0] == "ours minus the paper's")
+    (gaps,) = [row for row in first.rows if row[0] == "ours minus the paper's"]
     assert gaps[3:] == (pytest.approx(50 - 43.58), pytest.approx(75 - 63.87), None, None)
     mine, papers, _ = tables.tables_of([lerf_result({"teatime": 59})])
     assert not any("minus" in str(row[0]) or "paper" in str(row[0]) for row in mine.rows)

@@ -10,6 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from drsplat import Gaussians, View
+from drsplat.authoring.filming.looking import looking_at
 from drsplat.errors import InputError
 from drsplat.field.evidence.provenance import Provenance, cameras_of
 from drsplat.field.forest import GROUP, PART, THING, check_forest
@@ -26,7 +27,6 @@ from drsplat.field.objects.joining import (
     refined,
     with_joined,
 )
-from splat_captures import look_at
 
 SIZE = 200
 UP = np.array([0.0, -1, 0])
@@ -35,7 +35,9 @@ UNSURE = np.float32(0.1)
 
 
 def photo(name: str, eye: np.ndarray, target: np.ndarray) -> View:
-    return View(name, width=SIZE, height=SIZE, K=LENS, cam_from_world=look_at(eye, target, UP))
+    return View(
+        name, width=SIZE, height=SIZE, K=LENS, cam_from_world=looking_at(eye, target, UP, (SIZE, SIZE)).cam_from_world
+    )
 
 
 def views_around(target: np.ndarray, distance: float, count: int = 6) -> list[View]:

@@ -16,13 +16,11 @@ import drsplat as ds
 from command_line import answer_of, error_of
 from drsplat.base.working import HERE
 from drsplat.cli import main
-from drsplat.errors import FormatError
 from drsplat.field.objects import finding
 from drsplat.field.objects.block_nodes import BlockNodes, in_blocks
 from drsplat.field.objects.finding import Division
 from drsplat.field.objects.uniting import fits_of, united
 from drsplat.field.tiles import finding as in_tiles
-from drsplat.field.tiles import store
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.launching import OneProcess, Processes
 from drsplat.formats.sources import blocks_of
@@ -208,36 +206,6 @@ class Stopped(OneProcess):
             if number == self.most:
                 raise KeyboardInterrupt
             yield work(items[number])
-
-
-def test_a_damaged_tile_is_told(tmp_path):
-    tiles, field = in_tiles_of(tmp_path)
-    file = next((tmp_path / "scene.tiles").glob("*.shapes.safetensors"))
-    file.write_bytes(file.read_bytes()[:-9])
-    with pytest.raises(FormatError, match="Restore the folder"):
-        in_tiles.find_objects(field, tiles, parts=str(tmp_path / "parts"), views=[])
-
-
-def test_no_room_is_told_and_nothing_is_lost(tmp_path, small_blocks, monkeypatch):
-    tiles, field = in_tiles_of(tmp_path)
-    how = {"parts": str(tmp_path / "parts"), "views": [], "threads": 1}
-    writing, count = store.write_tensors, 0
-
-    def full(path, *given, **more):
-        nonlocal count
-        count += ".nodes." in path.name
-        if count == 2:
-            raise OSError(28, "No space left on device", str(path))
-        writing(path, *given, **more)
-
-    monkeypatch.setattr(store, "write_tensors", full)
-    with pytest.raises(OSError, match="No space left"):
-        in_tiles.find_objects(field, tiles, **how)
-    monkeypatch.setattr(store, "write_tensors", writing)
-    (kept,) = (tmp_path / "parts").rglob("*.nodes.safetensors")
-    before = kept.stat().st_mtime_ns
-    in_tiles.find_objects(field, tiles, **how)
-    assert kept.stat().st_mtime_ns == before
 
 
 def test_labels_stay_when_objects_are_found_by_workers(tmp_path, capsys):

@@ -1,11 +1,11 @@
 """Registration and objects of tiles on a Ray cluster: the same bits, whoever is killed."""
 
 import os
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from test_tiles import _dies_once, _fails, inputs
 
 import drsplat as ds
 from drsplat.errors import InputError
@@ -49,7 +49,7 @@ def cluster() -> Iterator[Ray]:
 
 def test_a_field_made_on_a_cluster_has_the_same_bits(toy, cluster, tmp_path):
     tiles = read_tiles(toy / "scene.tiles")
-    views, features = ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
+    views, features = inputs(toy)
     told = []
     how = {"parts": tmp_path / "parts", "launcher": cluster, "threads": 1}
     made = register_tiles(tiles, views, features, **how, tell=told.append)
@@ -66,7 +66,7 @@ def test_objects_found_on_a_cluster_have_the_same_bits(toy, cluster, tmp_path, m
     monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
     monkeypatch.setattr(finding, "BLOCK_WEIGHTS", 200)
     tiles = read_tiles(toy / "scene.tiles")
-    views, features = ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
+    views, features = inputs(toy)
     field = ds.register(tiles.gaussians(), views, features).to_field()
     parts = tmp_path / "parts"
     found = in_tiles.find_objects(field, tiles, parts=str(parts), views=views, launcher=cluster, threads=1)
@@ -75,17 +75,6 @@ def test_objects_found_on_a_cluster_have_the_same_bits(toy, cluster, tmp_path, m
         assert array.tobytes() == found.tensors()[name].tobytes(), name
     kinds = {file.name.split(".")[1] for file in (parts / "objects").glob("*.safetensors")}
     assert kinds >= {"totals", "nodes", "sharing", "bordering", "growing", "summing", "describing"}
-
-
-def _dies_once(item: Path) -> str:
-    if not item.exists():
-        item.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return item.name
-
-
-def _fails(item: int) -> None:
-    raise InputError(f"bad {item}")
 
 
 def test_a_killed_worker_is_replaced(cluster, tmp_path):

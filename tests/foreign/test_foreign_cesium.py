@@ -1,40 +1,29 @@
 """A tileset of ours in CesiumJS, in a real browser: where it lies, which level is loaded, and what is shown."""
 
-from collections.abc import Iterator
-from typing import Any
-
 import numpy as np
 import pytest
 
-from browsing import a_browser, a_page, eventually, needs_chromium, pixels_of
+from browsing import a_page, eventually, needs_chromium, pixels_of
 from drsplat.formats.georeference import Georeference
 from drsplat.formats.tiles3d_writing import write_tiles3d
-from drsplat.scene.gaussians import SH_C0, Gaussians
+from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene
 from foreign_programs import needs_packages
 from foreign_viewing import serving
+from scenes import gaussians_at
 
 pytestmark = [needs_chromium, needs_packages("cesium"), pytest.mark.oracle, pytest.mark.slow]
 NORTH_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # of a PLY, whose y is down
 COUNT, ROWS = 400, 100
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with a_browser() as browser:
-        yield browser
-
-
 def wall() -> Gaussians:
     """Make a wall that faces south: green above, red below on its left, and blue below on its right."""
     rng = np.random.default_rng(0)
-    means = (rng.uniform(-1, 1, (COUNT, 3)) * [3, 3, 0.05]).astype(np.float32)
+    means = rng.uniform(-1, 1, (COUNT, 3)) * [3, 3, 0.05]
     above, left = means[:, 1] < 0, means[:, 0] < 0
     colors = np.where(above[:, None], [0, 1, 0], np.where(left[:, None], [1, 0, 0], [0, 0, 1]))
-    quats = np.tile(np.float32([1, 0, 0, 0]), (COUNT, 1))
-    scales = np.full((COUNT, 3), 0.15, np.float32)
-    sh = ((colors - 0.5) / SH_C0).astype(np.float32)[:, None]
-    return Gaussians(means, quats, scales, np.full(COUNT, 0.9, np.float32), sh)
+    return gaussians_at(means, 0.15, colors)
 
 
 @pytest.mark.parametrize(("error", "splats"), [(0.01, COUNT), (100.0, ROWS)])

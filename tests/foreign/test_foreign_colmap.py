@@ -21,9 +21,7 @@ from drsplat.formats.colmap_binary import MODEL_NAMES, PARAMETERS
 from drsplat.scene.lens import distort_points, undistort_points
 from drsplat.scene.photos import load_image, photo_coverage
 from drsplat.scene.views import View
-from furnished.capture import write_model
 from places import SUPPORT
-from scenes import look_at_view
 from written_captures import write_colmap_binary, write_colmap_text
 
 pytestmark = [
@@ -117,21 +115,12 @@ def test_models_that_colmap_writes_are_read(kind, tmp_path):
     assert colors[order].tolist() == [rgb for _, rgb in POINTS]
 
 
-def write_furnished_model(folder: Path) -> None:
-    views = [look_at_view((3 * np.cos(k), 3 * np.sin(k), 1), width=WIDTH, height=HEIGHT) for k in range(4)]
-    views = [View(f"photo_{k}.png", v.K, v.cam_from_world, v.width, v.height) for k, v in enumerate(views)]
-    folder.mkdir()
-    write_model(folder, views)
-
-
-@pytest.mark.parametrize("kind", ["demo", "furnished", "text", "binary"])
+@pytest.mark.parametrize("kind", ["demo", "text", "binary"])
 def test_colmap_reads_what_we_write(kind, tmp_path):
     """The model of the demo, and those that the tests write after COLMAP's description, so that these are right."""
     folder = tmp_path / "model"
     if kind == "demo":
         folder = Path(drsplat.evaluation.demo.__file__).parent / "scene/sparse/0"
-    elif kind == "furnished":
-        write_furnished_model(folder)
     else:
         cameras = [(k, name, WIDTH, HEIGHT, tuple(map(float, LENSES[name]))) for k, name in enumerate(LENSES, 1)]
         images = [

@@ -4,9 +4,7 @@ and what splat-transform writes as GLB is read here.
 
 import json
 import subprocess
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ from numpy.testing import assert_allclose
 
 import drsplat as ds
 import scene_files
-from browsing import a_browser, a_page, needs_chromium
+from browsing import a_page, needs_chromium
 from drsplat.authoring.exporting import export
 from drsplat.formats.axes import standing_up
 from drsplat.formats.known import write_scene
@@ -26,12 +24,6 @@ from foreign_viewing import colourful, pictured, psnr, serving, turned, zoomed
 pytestmark = [pytest.mark.oracle, pytest.mark.slow]
 LEAST_PSNR = 32.3  # dB; measured 33.4, shifted by a pixel 31.2, harmonics not turned 23
 UPS = ((0.0, -1.0, 0.0), (0.2, 0.3, 0.9))
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with a_browser() as browser:
-        yield browser
 
 
 def labelled_scene() -> LabelledScene:

@@ -1,15 +1,13 @@
 """A streamed SOG of ours in PlayCanvas's engine, level by level, and one of splat-transform's read here."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 import drsplat as ds
-from browsing import a_browser, needs_chromium
+from browsing import needs_chromium
 from drsplat.formats.streamed_sog import LOD_META, counts_of_levels, read_streamed_sog, write_streamed_sog
 from drsplat.scene.labelled import LabelledScene
 from foreign_programs import needs_node, needs_packages, splat_transform
@@ -18,12 +16,6 @@ from scene_files import random_gaussians
 
 pytestmark = [pytest.mark.oracle, pytest.mark.slow]
 LEAST_PSNR = 31.0  # dB; measured 33.4 and 34.2, of another level 17
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with a_browser() as browser:
-        yield browser
 
 
 @needs_chromium

@@ -7,16 +7,14 @@ bytes and cut-offs of alpha leave.
 """
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import drsplat as ds
-from browsing import a_browser, needs_chromium
+from browsing import needs_chromium
 from command_line import answer_of
 from drsplat.formats.axes import HALF_TURN
 from drsplat.formats.known import write_scene
@@ -33,12 +31,6 @@ pytestmark = [
 LEAST_PSNR = 38.0  # dB; measured 44 and 41; a shift by a pixel leaves 33, colours without limits 26
 
 LEAST_OF = {"spark": 38.0, "playcanvas": 32.3}  # dB
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with a_browser() as browser:
-        yield browser
 
 
 @pytest.fixture

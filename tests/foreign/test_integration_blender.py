@@ -6,7 +6,6 @@ The GLB is made here by hand, from the specifications.
 import importlib.util
 import json
 import shutil
-import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -19,12 +18,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from drsplat.scene.gaussians import SH_C0, rotation_matrices
+from glb_files import SPLATTING, Building, finish, glb_of, parts_of, splat_attributes
 from places import SUPPORT
 from scenes import random_gaussians
 
 ADDON = Path(__file__).resolve().parents[2] / "integrations/blender/drsplat_import.py"
 SESSION = SUPPORT / "blender_session.py"
-SPLAT = "KHR_gaussian_splatting"
 
 
 @pytest.fixture
@@ -57,65 +56,30 @@ def gaussians() -> ds.Gaussians:
 
 def glb_bytes(gaussians: ds.Gaussians, **changes: Any) -> bytes:
     """Two objects, `red mug` of rows 0 to 2 and `Tür` of rows 3 and 4; row 5 is of none. Nodes are turned and moved."""
-    binary, views, accessors = bytearray(), [], []
-
-    def view(data: bytes) -> int:
-        binary.extend(b"\0" * (-len(binary) % 8))
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
-        binary.extend(data)
-        return len(views) - 1
-
-    def accessor(values: np.ndarray, component: int, **more: Any) -> int:
-        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[1 if values.ndim == 1 else values.shape[1]]
-        at = view(values.tobytes())
-        accessors.append({"bufferView": at, "componentType": component, "count": len(values), "type": kind, **more})
-        return len(accessors) - 1
-
-    ids = np.uint16([0, 0, 0, 1, 1, 65535])
-    texts = [b"red mug", "Tür".encode()]
-    attributes = {
-        "POSITION": accessor(gaussians.means, 5126),
-        f"{SPLAT}:ROTATION": accessor(np.roll(gaussians.quats, -1, axis=1), 5126),
-        f"{SPLAT}:SCALE": accessor(changes.pop("scales", gaussians.scales), 5126),
-        f"{SPLAT}:OPACITY": accessor(np.rint(gaussians.opacities * 255).astype(np.uint8), 5121, normalized=True),
-        f"{SPLAT}:SH_DEGREE_0_COEF_0": accessor(np.ascontiguousarray(gaussians.sh[:, 0]), 5126),
-        "_FEATURE_ID_0": accessor(ids, 5123),
-    }
-    properties = {
-        "name": {"values": view(b"".join(texts)), "stringOffsets": view(np.array([0, 7, 11], "<u4").tobytes())},
-        "center": {"values": view(np.array([[1, 2, 3], [4, 5, 6]], "<f4").tobytes())},
-        "extent": {"values": view(np.array([[2, 4, 6], [1, 1, 1]], "<f4").tobytes())},
-        "axes": {"values": view(np.array([[0, 1, 0, -1, 0, 0, 0, 0, 1], np.eye(3).ravel()], "<f4").tobytes())},
-    }
+    building = Building()
+    scales = changes.pop("scales", gaussians.scales)
+    attributes = splat_attributes(building, gaussians)
+    attributes["_FEATURE_ID_0"] = building.attribute(np.uint16([0, 0, 0, 1, 1, 65535]))
+    attributes[f"{SPLATTING}:SCALE"] = building.attribute(scales)
+    opacities = np.rint(gaussians.opacities * 255).astype(np.uint8)
+    attributes[f"{SPLATTING}:OPACITY"] = building.attribute(opacities, normalized=True)
+    turned = [[0, 1, 0, -1, 0, 0, 0, 0, 1], [1, 0, 0, 0, 1, 0, 0, 0, 1]]
+    columns = {"center": [[1, 2, 3], [4, 5, 6]], "extent": [[2, 4, 6], [1, 1, 1]], "axes": turned}
+    properties = {name: {"values": building.view(np.float32(rows).tobytes())} for name, rows in columns.items()}
+    offsets = building.view(np.uint32([0, 7, 11]).tobytes())
+    properties["name"] = {"values": building.view("red mugTür".encode()), "stringOffsets": offsets}
+    document, binary = parts_of(finish(building, attributes))
     features = {"featureIds": [{"featureCount": 2, "attribute": 0, "propertyTable": 0, "nullFeatureId": 65535}]}
-    document = {
-        "asset": {"version": "2.0"},
-        "extensionsUsed": [SPLAT, "EXT_mesh_features", "EXT_structural_metadata"],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [
-            {"rotation": [1, 0, 0, 0], "children": [1, 2]},
-            {"mesh": 0, "translation": [0, 0, 10]},
-            {"name": "matches", "children": [3]},
-            {"name": "mug", "extras": {"kind": "match"}, "translation": [1, 2, 3], "scale": [2, 4, 6]},
-        ],
-        "meshes": [{"primitives": [{
-            "mode": 0, "attributes": attributes,
-            "extensions": {
-                SPLAT: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}, "EXT_mesh_features": features,
-            },
-        }]}],
-        "extensions": {"EXT_structural_metadata": {
-            "propertyTables": [{"class": "object", "count": 2, "properties": properties}],
-        }},
-        "buffers": [{"byteLength": len(binary)}], "bufferViews": views, "accessors": accessors,
-    }  # fmt: skip
-    document |= changes
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    binary.extend(b"\0" * (-len(binary) % 4))
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    document["meshes"][0]["primitives"][0]["extensions"]["EXT_mesh_features"] = features
+    table = {"class": "object", "count": 2, "properties": properties}
+    document["extensions"] = {"EXT_structural_metadata": {"propertyTables": [table]}}
+    document["nodes"] = [
+        {"rotation": [1, 0, 0, 0], "children": [1, 2]},
+        {"mesh": 0, "translation": [0, 0, 10]},
+        {"name": "matches", "children": [3]},
+        {"name": "mug", "extras": {"kind": "match"}, "translation": [1, 2, 3], "scale": [2, 4, 6]},
+    ]
+    return glb_of(document | changes, binary)
 
 
 def test_a_glb_gives_gaussians_objects_and_marks(addon, gaussians, tmp_path):

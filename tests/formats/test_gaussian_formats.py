@@ -139,7 +139,7 @@ def test_crlf_header():
     [
         *((name, value) for name in ("y", "rot_1", "scale_2", "f_rest_7", "f_dc_0") for value in (np.nan, np.inf)),
         ("x", -np.inf),
-        ("scale_0", -np.inf),
+        *(("scale_0", value) for value in (-np.inf, 89, -120)),
         ("opacity", np.nan),
     ],
 )
@@ -148,14 +148,6 @@ def test_rows_that_are_no_gaussians_are_counted_and_named(name, value):
     columns[name] = columns[name].copy()
     columns[name][[17, 21, 29]] = value
     with malformed(r"3 of 30 rows .* first is row 17.*--filter-nan"):
-        parsed(scene_files.ply_bytes(columns))
-
-
-@pytest.mark.parametrize("log_scale", [89, -120])
-def test_log_scale_out_of_range(log_scale):
-    columns = scene_files.ply_columns(random_gaussians(default_rng(5), 4))
-    columns["scale_0"] = np.full(4, log_scale, np.float32)
-    with malformed("4 of 4 rows have scales"):
         parsed(scene_files.ply_bytes(columns))
 
 
@@ -387,17 +379,6 @@ def test_biker_is_the_same_as_compressed_ply_and_as_spz(biker):
     assert np.percentile(np.abs(np.log(a.scales / b.scales))[matched], 99.9) < 1 / 32 + 1e-3
     assert np.percentile(np.abs(a.sh - b.sh)[matched], 99.9) < 0.5 / 255 / 0.15 + 1e-3
     assert np.percentile(angles(a, b)[matched], 99.9) < 5e-3
-
-
-@pytest.mark.data
-@no_splats
-def test_guitar_is_plausible_and_survives_a_round_trip(tmp_path):
-    guitar = read_gaussians(SPLATS / "guitar.compressed.ply")
-    assert len(guitar) == 90_854
-    write_gaussians(tmp_path / "guitar.ply", guitar)
-    back = read_gaussians(tmp_path / "guitar.ply")
-    assert back.fingerprint == guitar.fingerprint
-    same(back, guitar)
 
 
 @pytest.mark.oracle

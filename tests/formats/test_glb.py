@@ -99,9 +99,7 @@ def test_names_and_numbers_of_objects_come_back(tmp_path):
     read = Read.of(written(tmp_path, scene))
     assert scene.object_of is not None
     assert read.object_names() == [None if row < 0 else NAMES[row] for row in scene.object_of]
-    assert [(one.number, one.name) for one in names_in_glb(tmp_path / "scene.glb")] == [
-        (2 * place, name) for place, name in enumerate(NAMES)
-    ]
+    assert names_in_glb(tmp_path / "scene.glb") == [(2 * place, name) for place, name in enumerate(NAMES)]
     table = read.table(0)
     assert table["number"] == [2 * place for place in range(len(NAMES))]
     assert table["num_gaussians"] == np.bincount(scene.object_of + 1)[1:].tolist()
@@ -258,12 +256,6 @@ def test_rows_are_made_on_their_way_to_the_disk(tmp_path):
     finally:
         tracemalloc.stop()
     assert (tmp_path / "scene.glb").stat().st_size > size
-
-
-def test_a_file_that_exists_stays(tmp_path):
-    written(tmp_path, LabelledScene(made()))
-    with refused("exists already"):
-        write_scene(tmp_path / "scene.glb", LabelledScene(made()))
 
 
 def test_what_a_format_cannot_hold_is_said():

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_usd import labelled
 
 from command_line import answer_of, error_of
 from drsplat import read_views
@@ -18,6 +17,7 @@ from drsplat.formats.rerun_writing import write_rrd
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.moving import Frames, Moving
 from drsplat.scene.views import View
+from labelled_scenes import labelled
 from scene_files import random_gaussians
 
 

@@ -17,6 +17,7 @@ from drsplat.formats.spz_writing import spz4_bytes, spz_bytes
 from drsplat.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing
 from foreign_programs import needs_node, needs_packages, splat_transform
+from labelled_scenes import NAMES, labelled
 from mutations import mutants, quota, seeded
 from refusing import refused
 
@@ -67,15 +68,6 @@ def test_what_spz_cannot_hold_is_refused():
         spz_bytes(own.subset(np.empty(0, np.int64)))
 
 
-def labelled(count: int, degree: int) -> LabelledScene:
-    """Make a scene whose objects have names that other places would take for markup or paths."""
-    box = {"center": np.zeros(3), "axes": np.eye(3), "extent": np.ones(3)}
-    things = tuple(Thing(name, 0.5, **box) for name in ("<i>a</i>", "🫖", "../b"))
-    object_of = (np.arange(count) % 4 - 1).astype(np.int32)
-    relevancy = np.linspace(-1, 1, count, dtype=np.float32)
-    return LabelledScene(scene(count, degree, 1), "s", things, (), object_of, "tea", relevancy)
-
-
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_version_4_is_version_3_with_objects(degree, tmp_path):
     own, path = labelled(50, degree), tmp_path / "s.spz"
@@ -83,11 +75,11 @@ def test_version_4_is_version_3_with_objects(degree, tmp_path):
     read, plain = read_gaussians(path), parse_spz(memoryview(spz_bytes(own.gaussians)))
     for name in ("means", "quats", "scales", "opacities", "sh"):
         assert_array_equal(getattr(read, name), getattr(plain, name))
-    assert_array_equal(read.extra["object_id"], own.object_of)
+    assert_array_equal(read.extra["object_id"], own.object_numbers)
     assert_array_equal(read.extra["relevancy"], own.relevancy)
     labels = read_spz_labels(path)
-    assert [thing.name for thing in labels.things] == ["<i>a</i>", "🫖", "../b"]
-    assert labels.query == "tea"
+    assert [thing.name for thing in labels.things] == list(NAMES)
+    assert labels.query == own.query
 
 
 @pytest.mark.parametrize("encode", [lambda one: spz_bytes(one.gaussians), spz4_bytes], ids=["3", "4"])

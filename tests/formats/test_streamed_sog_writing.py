@@ -16,7 +16,7 @@ import drsplat as ds
 from command_line import answer_of, error_of
 from drsplat.authoring.editing import Edit, EditFile, Remove, Rows
 from drsplat.authoring.exporting import export
-from drsplat.errors import FormatError, InputError
+from drsplat.errors import FormatError
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.sog import read_unpacked_sog
 from drsplat.formats.sources import Block, sources_of
@@ -31,23 +31,17 @@ from drsplat.formats.streamed_sog import (
 )
 from drsplat.formats.tiles import Tiles
 from drsplat.scene.gaussians import Gaussians
-from drsplat.scene.labelled import LabelledScene, Thing
+from drsplat.scene.labelled import LabelledScene
+from labelled_scenes import labelled
 from mutations import quota, seeded, survivors
-from scene_files import random_gaussians
+from refusing import malformed, refused
 
 COUNT, LEAF, CHUNK = 300, 40, 90
-NAMES = ('<b>mug</b> & "jug"', "🫖 théière", "../../etc/passwd")
 
 
-def labelled(count: int = COUNT, degree: int = 1) -> LabelledScene:
-    rng = np.random.default_rng(0)
-    things = tuple(
-        Thing(name, 0.5, np.zeros(3), np.eye(3), np.ones(3), number=7 + number) for number, name in enumerate(NAMES)
-    )
-    owners = rng.integers(-1, len(things), count).astype(np.int32)
-    relevancy = rng.uniform(-1, 1, count).astype(np.float32)
-    gaussians = random_gaussians(rng, count, degree)
-    return LabelledScene(gaussians, "room", things, object_of=owners, query="a pot", relevancy=relevancy)
+def scene_of(count: int = COUNT, degree: int = 1) -> LabelledScene:
+    scene = labelled(count, degree, ('<b>mug</b> & "jug"', "🫖 théière", "../../etc/passwd"))
+    return replace(scene, gaussians=replace(scene.gaussians, origin=np.zeros(3)))
 
 
 def written(folder: Path, scene: LabelledScene | Tiles) -> Path:
@@ -77,7 +71,7 @@ def chunk(path: Path, number: int) -> Gaussians:
 
 
 def test_the_finest_level_is_the_scene_with_its_objects(tmp_path):
-    scene = labelled()
+    scene = scene_of()
     read = ds.read_gaussians(written(tmp_path, scene))
     apart, rows = cKDTree(scene.gaussians.means).query(read.means)
     assert apart.max() < 1e-3
@@ -88,16 +82,16 @@ def test_the_finest_level_is_the_scene_with_its_objects(tmp_path):
 
 
 def test_names_lie_beside_once(tmp_path):
-    path = written(tmp_path, labelled())
+    path = written(tmp_path, scene_of())
     labels = read_streamed_labels(path)
-    assert [(thing.number, thing.name) for thing in labels.things] == [(7, NAMES[0]), (8, NAMES[1]), (9, NAMES[2])]
-    assert labels.query == "a pot"
+    assert [(one.number, one.name) for one in labels.things] == [(one.number, one.name) for one in scene_of().things]
+    assert labels.query == "red mug"
     assert [file.parent for file in path.parent.rglob("drsplat_labels.json")] == [path.parent]
 
 
 def test_chunks_are_the_runs_of_the_leaves_and_nothing_else(tmp_path):
     """Each run has its rows in one chunk of its level; together they are the chunk, none of which is overfull."""
-    path = written(tmp_path, labelled())
+    path = written(tmp_path, scene_of())
     document = document_of(path)
     leaves = list(leaves_of(document["tree"]))
     runs = [(int(level), run) for leaf in leaves for level, run in leaf["lods"].items()]
@@ -116,7 +110,7 @@ def test_chunks_are_the_runs_of_the_leaves_and_nothing_else(tmp_path):
 
 
 def test_levels_are_coarser_and_in_the_boxes(tmp_path):
-    path = written(tmp_path, labelled())
+    path = written(tmp_path, scene_of())
     for leaf in leaves_of(document_of(path)["tree"]):
         low, high = (np.array(leaf["bound"][end]) for end in ("min", "max"))
         parts = []
@@ -134,7 +128,7 @@ def test_levels_are_coarser_and_in_the_boxes(tmp_path):
 
 
 def test_without_objects_levels_have_a_quarter_each(tmp_path):
-    path = written(tmp_path, LabelledScene(labelled(256).gaussians))
+    path = written(tmp_path, LabelledScene(scene_of(256).gaussians))
     assert counts_of_levels(path)[0] == 256
     for leaf in leaves_of(document_of(path)["tree"]):
         counts = [leaf["lods"][str(level)]["count"] for level in range(LEVELS)]
@@ -144,7 +138,7 @@ def test_without_objects_levels_have_a_quarter_each(tmp_path):
 
 
 def test_tiles_are_written_without_the_whole_scene(tmp_path, monkeypatch, capsys):
-    gaussians = labelled().gaussians
+    gaussians = scene_of().gaussians
     ds.write_gaussians(tmp_path / "scene.ply", gaussians)
     cut([Block(source) for source in sources_of(tmp_path / "scene.ply")], tmp_path / "city.tiles", 100)
 
@@ -162,7 +156,7 @@ def test_tiles_are_written_without_the_whole_scene(tmp_path, monkeypatch, capsys
 
 
 def test_a_scene_far_from_zero_keeps_its_place(tmp_path):
-    own = replace(labelled().gaussians, origin=np.array([5e5, 4e6, 100.0]))
+    own = replace(scene_of().gaussians, origin=np.array([5e5, 4e6, 100.0]))
     read = read_streamed_sog(written(tmp_path, LabelledScene(own)), 0)
     local = cKDTree(own.means.astype(np.float64))
     assert local.query(read.positions - own.origin)[0].max() < 1e-3
@@ -170,7 +164,7 @@ def test_a_scene_far_from_zero_keeps_its_place(tmp_path):
 
 @pytest.mark.parametrize("count", [1, 2, LEAF, LEAF + 1])
 def test_small_scenes_have_a_tree(count, tmp_path):
-    path = written(tmp_path, LabelledScene(labelled(count, 0).gaussians))
+    path = written(tmp_path, LabelledScene(scene_of(count, 0).gaussians))
     assert counts_of_levels(path)[0] == count
     assert len(read_streamed_sog(path, LEVELS - 1)) == sum(1 for _ in leaves_of(document_of(path)["tree"]))
 
@@ -180,13 +174,13 @@ def test_the_same_bytes_twice(tmp_path):
     files = []
     for folder in folders:
         folder.mkdir()
-        out = written(folder, labelled()).parent
+        out = written(folder, scene_of()).parent
         files.append({path.relative_to(out): path.read_bytes() for path in out.rglob("*") if path.is_file()})
     assert files[0] == files[1]
 
 
 def test_export_and_inspect_by_the_verb(tmp_path, capsys):
-    ds.write_gaussians(tmp_path / "scene.ply", labelled().gaussians)
+    ds.write_gaussians(tmp_path / "scene.ply", scene_of().gaussians)
     out = tmp_path / "out" / LOD_META
     answer_of(capsys, "export", tmp_path / "scene.ply", "--output", out)
     for place in (out, out.parent):
@@ -204,30 +198,30 @@ def test_export_and_inspect_by_the_verb(tmp_path, capsys):
 
 
 def test_names_are_inspected(tmp_path, capsys):
-    export(tmp_path / "out" / LOD_META, labelled())
+    export(tmp_path / "out" / LOD_META, scene_of())
     for place in (tmp_path / "out", tmp_path / "out" / LOD_META):
         facts = answer_of(capsys, "inspect", place)
-        assert [one["id"] for one in facts["objects"]] == [7, 8, 9]
+        assert [one["id"] for one in facts["objects"]] == [0, 2, 4]
 
 
 def test_a_level_that_is_not_there_is_refused(tmp_path):
-    path = written(tmp_path, labelled())
-    with pytest.raises(FormatError, match="no chunk of level 4"):
+    path = written(tmp_path, scene_of())
+    with malformed("no chunk of level 4"):
         read_streamed_sog(path, LEVELS)
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):
-    scene = labelled(5)
-    with pytest.raises(InputError, match="no Gaussians to write"):
+    scene = scene_of(5)
+    with refused("no Gaussians to write"):
         written(tmp_path, LabelledScene(scene.gaussians.subset(np.zeros(0, int))))
     scene.gaussians.means[3] = np.nan
-    with pytest.raises(InputError, match="row 3"):
+    with refused("row 3"):
         written(tmp_path, scene)
     assert not (tmp_path / "out").exists()
 
 
 def test_damaged_indices_and_names_are_refused_or_read(tmp_path):
-    path, rng = written(tmp_path, labelled(60)), seeded(41)
+    path, rng = written(tmp_path, scene_of(60)), seeded(41)
     for name in (LOD_META, "drsplat_labels.json"):
         for read in (read_streamed_labels, counts_of_levels):
             survivors(path.parent / name, lambda _, read=read: read(path), rng, quota(100))
@@ -235,14 +229,14 @@ def test_damaged_indices_and_names_are_refused_or_read(tmp_path):
 
 @pytest.mark.parametrize("name", ["../secret.json", "/etc/passwd", "", 3])
 def test_names_elsewhere_are_refused(name, tmp_path):
-    path = written(tmp_path, labelled(60))
+    path = written(tmp_path, scene_of(60))
     path.write_text(json.dumps(document_of(path) | {"drsplat": {"labels": name}}))
     with pytest.raises(FormatError):
         read_streamed_labels(path)
 
 
 def test_tiles_with_kept_edits_are_written_as_edited(tmp_path, capsys):
-    ds.write_gaussians(tmp_path / "scene.ply", labelled().gaussians)
+    ds.write_gaussians(tmp_path / "scene.ply", scene_of().gaussians)
     tiles = cut([Block(source) for source in sources_of(tmp_path / "scene.ply")], tmp_path / "city.tiles", 100)
     edit = Edit(Rows.of(np.arange(50), "query", "some"), Remove())
     EditFile.beside(tmp_path / "city.tiles").change(tiles.gaussians(), lambda edits: edits.with_edit(edit))

@@ -1,4 +1,4 @@
-"""Damaged binary OpenUSD: OpenUSD's own library reads it, in a process of its own here, whose death would be seen."""
+"""Damaged OpenUSD: its own library reads it, in a process of its own here, whose death would be seen."""
 
 import struct
 import subprocess
@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.errors import FormatError
 from drsplat.formats.known import write_scene
-from drsplat.formats.usd import read_usd
+from drsplat.formats.usd import parse_usd, read_usd
 from drsplat.scene.labelled import LabelledScene, Thing
 from mutations import quota
 from places import SUPPORT
+from refusing import malformed
 from scene_files import random_gaussians
 
 pytestmark = pytest.mark.oracle
@@ -51,7 +51,7 @@ def written(path: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".usdc", ".usdz"])
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
 def test_damaged_files_are_refused_or_sound(suffix, tmp_path):
     """The file that the process read last is left where it does not come to its end."""
     command = [sys.executable, "-c", READER, str(written(tmp_path / f"good{suffix}")), str(MUTANTS)]
@@ -74,7 +74,7 @@ def test_a_count_without_its_bytes_is_refused_before_the_library_sees_it(name, t
     start = struct.unpack_from("<Q", content, section(content, name) + 16)[0]
     struct.pack_into("<Q", content, start, 1 << 31)
     path.write_bytes(content)
-    with pytest.raises(FormatError, match=rf"section b'{name.decode()}': .* hold no 2,147,483,648 entries"):
+    with malformed(rf"section b'{name.decode()}': .* hold no 2,147,483,648 entries"):
         read_usd(path)
 
 
@@ -86,12 +86,48 @@ def test_sections_outside_of_the_file_are_refused(part, tmp_path):
     places = {"the table": 16, "its count": table, "a section": section(content, b"PATHS") + 16}
     struct.pack_into("<Q", content, places[part], 1 << 40)
     path.write_bytes(content)
-    with pytest.raises(FormatError, match="section b'PATHS'" if part == "a section" else "no table of contents"):
+    with malformed("section b'PATHS'" if part == "a section" else "no table of contents"):
         read_usd(path)
 
 
 def test_a_file_that_ends_in_its_head_is_refused(tmp_path):
     path = written(tmp_path / "in.usdc")
     path.write_bytes(path.read_bytes()[:20])
-    with pytest.raises(FormatError, match="ends after 20 bytes"):
+    with malformed("ends after 20 bytes"):
         read_usd(path)
+
+
+X = b'def X "a" { '
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"[" * (100 << 20), "brackets up to 200"),
+        (b"(" + b"[" * (10 << 20), "brackets up to 200"),
+        (b"(a = " + b"[]" * (1 << 20), "does not read it"),
+        (X * 100_000, "brackets up to 200"),
+        (b'variantSet "v" = { "a" { ' * 100_000, "brackets up to 200"),
+        (X + b'string s = "' + b"a" * (10 << 20), "does not read it"),
+        (X + b"float[] primvars:x = [" + b"(" * (10 << 20), "brackets up to 200"),
+        (X + b"float[] primvars:x = [" + b"1" * (10 << 20) + b"]\n}", "no prim|does not read it"),
+        (X + b"dictionary d = " + b"{ dictionary a = " * 100_000, "brackets up to 200"),
+        (b"#" * (10 << 20), "no prim"),
+        (b"/*" * (1 << 20), "does not read it"),
+        (b'(a = """' + b'"" ' * (1 << 20), "does not read it"),
+        (b"def X " + b"'''\\" * (1 << 20), "does not read it"),
+        (X + b'float x = @"@ # "\n ' + b"( " * 1000, "brackets up to 200"),
+    ],
+    ids=map(str, range(14)),
+)  # fmt: skip
+def test_hostile_text_is_refused(text, message):
+    with malformed(message):
+        parse_usd(memoryview(b"#usda 1.0\n" + text))
+
+
+@pytest.mark.parametrize("text", [b'"%s"', b"'%s'", b'"""%s"""', b"'''%s'''"])
+def test_brackets_in_text_do_not_count(text):
+    content = b"#usda 1.0\n(\n doc = " + text % (b"(" * 1000) + b"\n)\n# " + b"[" * 1000 + b"\n"
+    with malformed("no prim of the schema"):
+        parse_usd(memoryview(content))

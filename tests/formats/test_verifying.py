@@ -19,9 +19,9 @@ from drsplat.field.codes import PQ, load_codebook, save_codebook
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.embedding_record import open_record
 from drsplat.formats.langsplat import write_features
-from drsplat.formats.moving_scenes import MOTION, SCENE_SUM, read_moving, write_moving
+from drsplat.formats.moving_scenes import MOTION, read_moving, write_moving
 from drsplat.formats.sources import blocks_of
-from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.formats.tensors import map_tensors
 from drsplat.formats.tiles import TILES, read_tiles
 from drsplat.scene.labelled import Annotation
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
@@ -145,22 +145,6 @@ def test_a_damaged_frame_is_refused_and_the_others_are_shown(tmp_path):
         moving.at(float(moving.times[2]))
 
 
-def test_films_of_older_versions_are_compared_as_a_whole(tmp_path):
-    """They have a checksum of each array and none of a frame or of scene.ply."""
-    path = write_motion(tmp_path)
-    tensors, metadata = map_tensors(path / MOTION)
-    arrays = {name: np.array(array) for name, array in tensors.items()}
-    old = {name: text for name, text in metadata.items() if name not in (SCENE_SUM, "crc32_rows")}
-    write_tensors(path / MOTION, arrays, old, overwrite=True)
-    assert len(read_moving(path).at(0.0)) == 12
-    assert json.loads(verdict(path)[1])["verified"] == [MOTION]
-    content = bytearray((path / MOTION).read_bytes())
-    content[content.index(arrays["means"][2].tobytes()) + 5] ^= 1
-    (path / MOTION).write_bytes(content)
-    with malformed("'means' is not what was written"):
-        read_moving(path)
-
-
 # --- tiles ---
 
 
@@ -181,19 +165,6 @@ def test_tiles_of_another_cut_are_refused(tmp_path):
     tiles = read_tiles(path)
     with malformed(r"tile00000\.shapes.*another file than tiles\.json names.*cut the scene"):
         tiles.shapes(tiles.tiles[0])
-
-
-def test_manifests_of_older_versions_name_no_checksums_and_are_read(tmp_path):
-    from drsplat.formats.tensors import sealed
-
-    path = write_tiles(tmp_path)
-    document = json.loads((path / TILES).read_text())
-    for tile in document["tiles"]:
-        del tile["crc32"]
-    del document["crc32"]
-    (path / TILES).write_text(json.dumps(sealed(document), indent=1) + "\n")
-    assert len(read_tiles(path).gaussians()) == 60
-    assert verdict(path)[0] == 0
 
 
 # --- what it is, and what was done ---

@@ -70,10 +70,6 @@ def test_colmap_numbers(capture):
     assert_allclose(a.center, camera_to_world(q, t)[:3, 3], atol=1e-12)
 
 
-def test_views_are_sorted_by_name(capture):
-    assert [view.name for view in read_views(capture)] == NAMES
-
-
 def test_colmap_text_equals_binary(tmp_path):
     write_colmap_text(tmp_path / "text/sparse/0")
     write_colmap_binary(tmp_path / "binary/sparse/0")

@@ -10,15 +10,14 @@ from scipy.sparse import csr_array
 from drsplat import PQ, Cut, Mixture, Query, Scene, WordEncoder, open_scene, register
 from drsplat.field import LanguageField, build_field
 from drsplat.field.evidence.evidence import Evidence, MaskIds
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.field.objects.drifting import drifting
 from drsplat.field.regrowing import field_during
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.query.tracks import runs
 from drsplat.scene.moving import Frames, Moving
-from fields import random_evidence
+from fields import random_evidence, with_flat_objects
 from growing_fields import features, scene, views
+from known_objects import TEST
 from moving_scenes import label_masks, passing, passing_scene, passing_views, still
 from refusing import refused
 from scenes import look_at_view, random_gaussians
@@ -74,8 +73,8 @@ def splintered() -> Scene:
     masks = MaskIds(("a.png",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
     evidence = Evidence(weights, masks, np.asarray(WordEncoder().encode_texts(words), np.float32))
     field = build_field(evidence, gaussians.fingerprint, WordEncoder.identity, Mixture())
-    tree = Tree(labels.astype(np.int32), np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
-    return Scene(field.with_objects(describe(field, gaussians, tree)), still(gaussians), [look_at_view((3, 0, 1.5))])
+    field = with_flat_objects(field, gaussians, labels)
+    return Scene(field, still(gaussians), [look_at_view((3, 0, 1.5))])
 
 
 def test_a_splinter_is_not_what_a_thing_stands_on():
@@ -98,8 +97,7 @@ def test_a_relation_to_any_of_several_alike_is_one():
     field = build_field(
         Evidence(weights, masks, vectors), moving.canonical.fingerprint, WordEncoder.identity, Mixture()
     )
-    tree = Tree(labels.astype(np.int32), np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
-    scene = Scene(field.with_objects(describe(field, moving.canonical, tree)), moving, passing_views(moving))
+    scene = Scene(with_flat_objects(field, moving.canonical, labels), moving, passing_views(moving))
     vase, table = scene.locate("vase")
     both = [scene.when("red car", relation, "vase") for relation in ("next_to", "on")]
     for relation, found in zip(("next_to", "on"), both, strict=True):
@@ -255,16 +253,8 @@ def changing_field() -> tuple[LanguageField, np.ndarray]:
         np.array([0.0, 0.0, 1.0, 1.0]),
     )  # fmt: skip
     embeddings = np.tile(np.eye(8, dtype=np.float32)[:2], (4, 1))
-    encoder = random_encoder()
-    field = build_field(Evidence(csr_array(dense), masks, embeddings), gaussians.fingerprint, encoder)
-    tree = Tree(own.astype(np.int32), np.full(2, -1, np.int32), np.ones(2, np.uint8), np.ones(2, np.float32))
-    return field.with_objects(describe(field, gaussians, tree)), own
-
-
-def random_encoder():
-    from known_objects import TEST
-
-    return TEST
+    field = build_field(Evidence(csr_array(dense), masks, embeddings), gaussians.fingerprint, TEST)
+    return with_flat_objects(field, gaussians, own), own
 
 
 def test_rows_that_change_what_they_belong_to_are_found():

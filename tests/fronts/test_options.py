@@ -8,16 +8,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drsplat import cli, load_field, read_gaussians
 from drsplat.cli import make_parser
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.fronts.commands.declaring import MAX_COUNT, MAX_NUMBER, finite, length, whole, words
+from fields import with_flat_objects
 from toy_capture import PER_THING, write_toy_capture
 
 NO_NUMBERS = [
@@ -47,11 +45,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     argv = ["register", "scene.ply", "capture", "--features", "capture/language_features"]
     argv += ["--encoder-name", "drsplat-words", "-o", "room.field"]
     subprocess.run([sys.executable, "-m", "drsplat", *argv], cwd=folder, check=True)
-    field, gaussians = load_field(folder / "room.field"), read_gaussians(folder / "scene.ply")
-    node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
-    roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
-    objects = describe(field, gaussians, Tree(node_of, roots, things, np.ones(2, np.float32)))
-    field.with_objects(objects).save(folder / "room.field", overwrite=True)
+    field = load_field(folder / "room.field")
+    named = with_flat_objects(field, read_gaussians(folder / "scene.ply"), field.gaussian_ids // PER_THING)
+    named.save(folder / "room.field", overwrite=True)
     return folder
 
 

@@ -13,14 +13,12 @@ from command_line import answer_of, error_of
 from drsplat import Answer, Cut, Match, Query, Scene, load_field, read_gaussians
 from drsplat.authoring.editing.resolving import query_rows
 from drsplat.field.labels import LabelFile
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.query.sheets import attribute_row
-from edited_rooms import write_room
+from fields import with_flat_objects
 from known_objects import CENTERS, TEST, described, known_field, known_scene
 from moving_scenes import passing_scene
 from scenes import look_at_view
-from toy_capture import PER_THING
+from toy_capture import PER_THING, write_balls
 
 
 class Axes:
@@ -184,10 +182,10 @@ def test_edits_and_pictures_of_attributes_too():
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two balls, both of one object: at a threshold of 0.4 it is "red mug" as a whole."""
-    folder = write_room(tmp_path_factory.mktemp("plain"))
-    field, gaussians = load_field(folder / "room.field"), read_gaussians(folder / "scene.ply")
-    tree = Tree(np.zeros(len(field), np.int32), np.full(1, -1, np.int32), np.ones(1, np.uint8), np.ones(1, np.float32))
-    field.with_objects(describe(field, gaussians, tree)).save(folder / "room.field", overwrite=True)
+    folder = write_balls(tmp_path_factory.mktemp("plain"))
+    field = load_field(folder / "room.field")
+    one = with_flat_objects(field, read_gaussians(folder / "scene.ply"), np.zeros(len(field)))
+    one.save(folder / "room.field", overwrite=True)
     return folder
 
 

@@ -147,9 +147,9 @@ def test_a_run_goes_on_from_its_checkpoint_to_the_same_bits(engine, views, point
     whole = device_run(engine, views, points, s)
     for _ in range(7):
         whole.step()
-    save_checkpoint(tmp_path / "checkpoint.safetensors", whole, "capture")
+    save_checkpoint(tmp_path / "checkpoint.safetensors", whole, "{}")
     later = device_run(engine, views, points, s)
-    load_checkpoint(tmp_path / "checkpoint.safetensors", later, "capture")
+    load_checkpoint(tmp_path / "checkpoint.safetensors", later, "{}")
     assert later.iteration == 7
     for _ in range(8):
         assert later.step().loss == whole.step().loss

@@ -5,17 +5,11 @@ import numpy as np
 from drsplat.photos.capture.posing import (
     NEIGHBOURS_IN_LOOKS,
     NEIGHBOURS_IN_ORDER,
-    all_pairs,
     looks_of,
     pairs_in_looks,
     pairs_in_order,
     pairs_in_place,
 )
-
-
-def test_few_photos_are_all_matched():
-    assert all_pairs(4) == {(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)}
-    assert len(all_pairs(150)) == 11_175
 
 
 def test_photos_in_order_are_matched_with_the_next_ones_and_rarer_ones_far_away():

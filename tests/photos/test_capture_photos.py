@@ -13,7 +13,7 @@ from PIL import Image
 from drsplat.fronts.commands.capture import LENSES as LENSES_OF_THE_VERB
 from drsplat.photos.capture.capturing import capture_names
 from drsplat.photos.capture.finding import are_numbered, find_photos, in_order
-from drsplat.photos.capture.photos import APPLE_SIGNATURE, ExifFacts, Photo, bring, exif_facts, sharpness, turned_down
+from drsplat.photos.capture.photos import APPLE_SIGNATURE, ExifFacts, Photo, bring, exif_facts, turned_down
 from drsplat.photos.capture.settings import LENSES
 from drsplat.photos.capture.turning import Reasons
 from refusing import refused
@@ -119,12 +119,6 @@ def test_tiny_photos_are_left_out(tmp_path):
     assert bring(find_photos(tmp_path)[0], tmp_path).fault == "63x80 pixels are too few"
 
 
-def test_records_are_read_back():
-    facts = ExifFacts("camera", 0.5, (1.0, 2.0, None), (0.0, 1.0, 0.0))
-    for photo in (Photo("a", "b.jpg", 3, 4, 5.0, facts), Photo("c", fault="empty")):
-        assert Photo.from_json(photo.to_json()) == photo
-
-
 def test_photos_are_found_in_the_order_of_their_numbers(tmp_path):
     (tmp_path / "masks").mkdir()
     (tmp_path / "b").mkdir()
@@ -165,12 +159,6 @@ def test_names_in_a_capture_differ_in_more_than_their_suffix():
         for name, file in (("a.JPG", "1.jpg"), ("a.heic", "2.jpg"), ("A.png", "3.png"), ("b/a.jpeg", "4.jpg"))
     ]
     assert list(capture_names(photos).values()) == ["a.JPG", "a_heic.jpg", "A_png.png", "b/a.jpeg"]
-
-
-def test_blur_is_less_sharp():
-    grey = np.asarray(Image.fromarray(PIXELS).convert("L"))
-    blurred = np.asarray(Image.fromarray(grey).resize((20, 16)).resize((100, 80)))
-    assert sharpness(blurred) < 0.2 * sharpness(grey)
 
 
 def test_reasons():

@@ -33,10 +33,10 @@ from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.masks.crops import crop
 from drsplat.scene.views import View
 from fake_models import DIM, ColorSegmenter, LargeSegmenter, ThumbnailEncoder
-from furnished.capture import write_model
 from places import SUPPORT
 from refusing import malformed, refused
 from scenes import random_gaussians
+from written_captures import model_of, write_colmap_text
 
 TESTS = SUPPORT
 embed = partial(embed_compactly, form="langsplat")  # test_compact_features.py has the other form
@@ -288,15 +288,6 @@ def test_an_encoder_that_looks_at_whole_photos_gets_no_crops(views, out):
             assert embeddings[number].argmax() == (7 * x + 3 * y) % DIM
 
 
-def test_further_photos_leave_finished_ones_alone(views, out):
-    embed_quietly(views[:1], out)
-    before = times_of(out)
-    report = embed_quietly(views, out)
-    assert (report.reused, report.redone) == (1, 0)
-    after = times_of(out)
-    assert {after[name] == before[name] for name in ("a_f.npy", "a_s.npy")} == {True}
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -507,8 +498,7 @@ def test_a_kill_loses_at_most_one_photo(form, tmp_path, out):
 
 
 def write_model_folder(folder: Path, views: list[View]) -> None:
-    (folder / "sparse/0").mkdir(parents=True)
-    write_model(folder / "sparse/0", views)
+    write_colmap_text(folder / "sparse/0", *model_of(views), [])
 
 
 def peak_bytes(folder: Path, count: int) -> int:
@@ -553,24 +543,6 @@ def three_balls(tmp_path_factory) -> Path:
     for view in views:
         write_picture(folder / "images" / view.name, as_pixels(ds.render(scene, view).rgb))
     return folder
-
-
-def test_embed_register_query(three_balls, out):
-    views, scene = ds.read_views(three_balls), ds.read_gaussians(three_balls / "scene.ply")
-    encoder = ThumbnailEncoder()
-    embed(views, out, ColorSegmenter(), encoder)
-    features = read_features(out)
-    field = ds.register(scene, views, features).to_field()
-    assert field.encoder == encoder.identity
-    for ball in range(3):
-        disc = np.zeros((40, 40, 3), np.uint8)
-        y, x = np.mgrid[:40, :40] - 19.5
-        disc[np.hypot(x, y) < 20, ball] = 255
-        scores = field.scores(encoder.encode_images([disc])[0])
-        found = field.gaussian_ids[scores > 0.8]
-        own = found // 60 == ball
-        assert own.mean() > 0.95
-        assert own.sum() > 40
 
 
 # The command

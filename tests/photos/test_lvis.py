@@ -114,13 +114,6 @@ def test_polygons_by_a_plain_loop(corners, height, width):
     assert_array_equal(fill_polygon(points, height, width), np.array(expected))
 
 
-def test_a_rectangle_has_its_pixels():
-    points = np.array([[2, 1], [5, 1], [5, 3], [2, 3]], float)
-    assert_array_equal(np.argwhere(fill_polygon(points, 4, 7))[[0, -1]], [[1, 2], [2, 4]])
-    assert fill_polygon(points, 4, 7).sum() == 6
-    assert_array_equal(fill_polygon(points + 0.5, 4, 7), fill_polygon(points, 4, 7))
-
-
 def test_large_polygons_are_filled_in_pieces(monkeypatch):
     from drsplat.formats import lvis
 

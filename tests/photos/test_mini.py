@@ -1,6 +1,5 @@
 """The built-in encoder: its words, its network, what it says to strangers."""
 
-import itertools
 from importlib.resources import files
 
 import numpy as np
@@ -16,7 +15,7 @@ from drsplat import Scene
 from drsplat.field import build_field
 from drsplat.photos.models.loading import load_encoder
 from drsplat.photos.models.mini import MiniEncoder
-from drsplat.photos.models.mini.encoder import DIM, STRIDES, _pixels, embed_images
+from drsplat.photos.models.mini.encoder import DIM, _pixels, embed_images
 from drsplat.photos.models.mini.lexicon import (
     COLORS,
     GROUPS,
@@ -48,37 +47,6 @@ def test_it_is_an_encoder_of_words_and_images(mini):
     assert mini.identity.dim == DIM
     assert mini.identity == MiniEncoder().identity
     assert -1 < mini.threshold < 1
-
-
-def plain_convolution(x: np.ndarray, weight: np.ndarray, bias: np.ndarray, stride: int) -> np.ndarray:
-    """Pixel by pixel, (h, w, c)."""
-    h, w, c = x.shape
-    out = np.zeros((-(-h // stride), -(-w // stride), weight.shape[1]))
-    for i, j in np.ndindex(out.shape[:2]):
-        total = bias.astype(np.float64)
-        for dy, dx in np.ndindex(3, 3):
-            y, column = i * stride + dy - 1, j * stride + dx - 1
-            if 0 <= y < h and 0 <= column < w:
-                rows = weight[(dy * 3 + dx) * c : (dy * 3 + dx + 1) * c]
-                total = total + x[y, column] @ rows
-        out[i, j] = np.maximum(total, 0)
-    return out
-
-
-def test_the_network_is_that_of_plain_loops():
-    rng = default_rng(0)
-    channels = (3, 4, 5, 4, 6, 5, 4, 3)
-    weights = {"projection": rng.normal(size=(6, 7)).astype(np.float32)}
-    for i, (a, b) in enumerate(itertools.pairwise(channels)):
-        weights[f"conv{i}.weight"] = rng.normal(0, 0.4, (9 * a, b)).astype(np.float32)
-        weights[f"conv{i}.bias"] = rng.normal(0, 0.2, b).astype(np.float32)
-    pixels = rng.uniform(-1, 1, (2, 16, 16, 3)).astype(np.float32)
-    for image, found in zip(pixels, embed_images(pixels, weights), strict=True):
-        x = image.astype(np.float64)
-        for i, stride in enumerate(STRIDES):
-            x = plain_convolution(x, weights[f"conv{i}.weight"], weights[f"conv{i}.bias"], stride)
-        expected = np.concatenate([x.mean((0, 1)), x.max((0, 1))]) @ weights["projection"]
-        assert_allclose(found, expected / np.linalg.norm(expected), atol=1e-5)
 
 
 def test_images_do_not_depend_on_their_batch(mini):
@@ -219,16 +187,6 @@ def test_a_field_of_it_is_asked_without_further_options(mini):
     assert (answer.measure, answer.rule) == ("relevancy", "list")
     assert_allclose(answer.scores, field.scores(mini.encode_texts(["red mug"])[0]), atol=1e-6)
     assert isinstance(load_encoder("drsplat-mini"), MiniEncoder)
-
-
-def test_it_tells_painted_shapes_apart(mini):
-    """Not of its world, but near enough: an orange disc on black, and a blue one."""
-    y, x = np.mgrid[:80, :80] - 40
-    disc = (x**2 + y**2 < 35**2)[..., None]
-    shaded = disc * (1 - 0.3 * (x + y)[..., None] / 80)
-    images = [np.clip(shaded * color, 0, 255).astype(np.uint8) for color in ([235, 120, 25], [30, 80, 180])]
-    scores = mini.encode_images(images) @ mini.encode_texts(["orange thing", "blue thing"]).T
-    assert scores.argmax(1).tolist() == [0, 1]
 
 
 # --- how it is learned -------------------------------------------------------------------------------

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from drsplat.errors import FormatError, InputError
 from drsplat.photos.models import pretrained, transformers_encoders
 from drsplat.photos.models.loading import DEFAULT_ENCODER, load_encoder
-from drsplat.photos.models.open_clip_settings import config_arguments
 from refusing import malformed, refused
 from tiny_encoders import PATCH, SIDE, TOKENS, write_clip_tokenizer, write_model
 
@@ -29,18 +28,6 @@ IMAGES = [
     for seed, size in enumerate(((32, 32), (20, 50), (3, 3)))
 ]
 TEXTS = ["a red mug", "the table", "mug", "a blue mug on the table"]
-PUBLISHED = {
-    "model_cfg": {
-        "embed_dim": 512,
-        "vision_cfg": {"image_size": 224, "layers": 12, "width": 768, "patch_size": 16},
-        "text_cfg": {"context_length": 77, "vocab_size": 49408, "width": 512, "heads": 8, "layers": 12},
-    },
-    "preprocess_cfg": {
-        "mean": [0.48145466, 0.4578275, 0.40821073],
-        "std": [0.26862954, 0.26130258, 0.27577711],
-    },
-}  # fmt: skip
-"""What the paper's model has as open_clip_config.json."""
 WIDE, HEADS = 128, 4  # of the text; the image's two heads follow from 64 numbers per head
 
 
@@ -242,25 +229,6 @@ def test_the_names_of_transformers_come_first(direct, renamed):
     (renamed / "open_clip_model.safetensors").write_bytes(b"not read")
     assert tiny(renamed).identity.weights == tiny(direct).identity.weights
     assert pretrained.weight_files(renamed) == [renamed / "model.safetensors"]
-
-
-def test_the_published_settings_are_those_of_vit_b_16(tmp_path):
-    path = tmp_path / "open_clip_config.json"
-    path.write_text(json.dumps(PUBLISHED))
-    config = transformers.CLIPConfig(**config_arguments(path))
-    vision, text = config.vision_config, config.text_config
-    assert (config.projection_dim, vision.image_size, vision.patch_size) == (512, 224, 16)
-    for tower, wide, heads in ((vision, 768, 12), (text, 512, 8)):
-        assert (tower.hidden_size, tower.intermediate_size) == (wide, 4 * wide)
-        assert (tower.num_hidden_layers, tower.num_attention_heads) == (12, heads)
-        assert (tower.hidden_act, tower.layer_norm_eps) == ("gelu", 1e-5)
-    assert (text.max_position_embeddings, text.vocab_size) == (77, 49408)
-    names = {tensor.name: tensor.shape for tensor in transformers_encoders.tensors(config)}
-    assert len(names) == 302  # 12 of each layer, and 14
-    assert names["visual.positional_embedding"] == (197, 768)
-    assert names["visual.transformer.resblocks.11.attn.in_proj_weight"] == (2304, 768)
-    rewrite(path, lambda d: d["model_cfg"].update(vision_cfg={}, text_cfg=None))
-    assert config_arguments(path)["vision_config"]["hidden_size"] == 768  # OpenCLIP's default
 
 
 # --- tensors that are not as they should be ---------------------------------------------------
@@ -513,14 +481,3 @@ def test_what_is_cached_in_full(files, expected, tmp_path, monkeypatch):
     for name in files:
         (cache / "snapshots" / ("0" * 40) / name).touch()
     assert pretrained.cached_in_full(DEFAULT_ENCODER) is expected
-
-
-def test_a_cached_model_of_open_clip_needs_no_network(own, tmp_path, monkeypatch):
-    monkeypatch.setattr(hub.constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(hub.constants, "HF_HUB_OFFLINE", True)
-    cache = tmp_path / "cache" / f"models--{DEFAULT_ENCODER.replace('/', '--')}"
-    shutil.copytree(own, cache / "snapshots" / ("0" * 40))
-    (cache / "refs").mkdir()
-    (cache / "refs" / "main").write_text("0" * 40)
-    rows = load_encoder(device="cpu", dtype="float32").encode_images(IMAGES)
-    assert_array_equal(rows, tiny(own).encode_images(IMAGES))

@@ -25,7 +25,7 @@ from drsplat.photos.models.people import finding, people, without_people
 from drsplat.scene.photo_masks import load_mask
 from drsplat.scene.views import View
 from photographed_room import HEIGHT, exif_of, jpeg, photographed, room_views
-from refusing import malformed, refused
+from refusing import refused
 
 data = pytest.importorskip("skimage.data")
 SIDE = 200  # of the picture of somebody
@@ -173,11 +173,3 @@ def test_a_run_that_is_killed_while_it_looks_for_people_goes_on(visited, tmp_pat
     assert main(line[3:]) == 0
     assert sorted(path.name for path in (tmp_path / "c/masks").iterdir()) == [f"photo_0{k}.jpg.png" for k in PLACES]
     assert len(list((tmp_path / "c/images").iterdir())) == 6
-
-
-def test_other_weights_are_refused(monkeypatch):
-    monkeypatch.setattr(finding, "WEIGHTS", "0" * 16)
-    finding.shipped_layers.cache_clear()
-    with malformed("install anew"):
-        finding.shipped_layers()
-    finding.shipped_layers.cache_clear()

@@ -37,8 +37,7 @@ def test_answers_are_those_of_the_model(model, count):
 
     features, points = encoded(model), some_points(count)
     with torch.no_grad():
-        decoder = PointDecoder(model)
-        masks, iou = decoder.answers(decoder.share(features), points)
+        masks, iou = PointDecoder(model, features).answers(points)
         asked, labels = torch.from_numpy(points)[None, :, None], torch.ones((1, count, 1), dtype=torch.int64)
         own = model(image_embeddings=features, input_points=asked, input_labels=labels, multimask_output=True)
     spread = float(own.pred_masks.std())
@@ -52,10 +51,10 @@ def test_an_image_is_shared_by_all_that_follow(model):
     """What is prepared for an image stays as it is, and another image has other answers."""
     import torch
 
-    decoder, points = PointDecoder(model), some_points(3)
+    points = some_points(3)
     with torch.no_grad():
-        image, other = (decoder.share(encoded(model, seed)) for seed in (0, 1))
-        first = decoder.answers(image, points)[0]
-        assert_allclose(decoder.answers(image, points)[0], first)
-        assert_allclose(decoder.answers(image, points[:1])[0], first[:1], atol=1e-4 * float(first.std()))
-        assert float((decoder.answers(other, points)[0] - first).abs().max()) > 1e-3 * float(first.std())
+        image, other = (PointDecoder(model, encoded(model, seed)) for seed in (0, 1))
+        first = image.answers(points)[0]
+        assert_allclose(image.answers(points)[0], first)
+        assert_allclose(image.answers(points[:1])[0], first[:1], atol=1e-4 * float(first.std()))
+        assert float((other.answers(points)[0] - first).abs().max()) > 1e-3 * float(first.std())

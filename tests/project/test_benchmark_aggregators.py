@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.suite.aggregators import MEASURED, centres
-from benchmarks.suite.aggregators.centres import CentrePixels, centre_pixels, centre_weights
+from benchmarks.suite.aggregators.centres import CentrePixels, centre_weights
 from benchmarks.suite.aggregators.gates import Gated, MassGate, QuantileGate, Spared
 from benchmarks.suite.aggregators.medians import CosineMedian
 from benchmarks.suite.aggregators.pruning import Pruned
@@ -22,10 +22,9 @@ from drsplat.errors import MismatchError
 from drsplat.field import load_field
 from drsplat.field.evidence.aggregation import AggregatorRecord, Sampling, aggregator
 from drsplat.field.evidence.aggregation.outliers import OutlierRejection
-from drsplat.field.evidence.aggregation.voting import effective_views
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.registration import Registration, register
-from drsplat.kernels import splat_arrays, view_weights
+from drsplat.kernels import splat_arrays
 from refusing import refused
 from scenes import random_gaussians, random_mask_map
 from twins import registering as reference
@@ -55,12 +54,6 @@ def test_the_median_is_that_of_the_twin(seed):
     assert_allclose(features(CosineMedian(), evidence), expected, atol=2e-5)
 
 
-def test_the_median_keeps_each_rows_sum():
-    evidence = evidence_of(default_rng(0))
-    before, after = (e.weights.sum(axis=1) for e in (evidence, CosineMedian()(evidence)))
-    assert_allclose(after, before, rtol=1e-5)
-
-
 def test_the_mass_gate_by_hand():
     weights = np.array([5.0, 1, 3, 1, 0.1])  # 75 % of 10.1 are 5 and 3
     assert MassGate(0.75, 0.0).passes(weights).tolist() == [True, False, True, False, False]
@@ -87,19 +80,10 @@ def test_gates_look_at_each_view_alone(seed):
         seen = np.flatnonzero(mine.sum(axis=1))
         totals = mine[seen].sum(axis=1)
         passed = seen[gates[0].passes(totals) & gates[1].passes(totals)]
-        expected = np.zeros_like(mine)
-        expected[passed] = mine[passed]
+        expected = np.where(np.isin(np.arange(len(mine)), passed)[:, None], mine, 0)
         assert_allclose(kept[:, views == view], expected)
-
-
-def test_spared_gates_prune_nobody():
-    evidence = evidence_of(default_rng(1))
-    gated, spared = Gated()(evidence).weights, Spared()(evidence).weights
-    seen, passed = (np.diff(w.indptr) > 0 for w in (evidence.weights, gated))
-    assert (seen & ~passed).any()
-    assert_array_equal(np.diff(spared.indptr) > 0, seen)
-    assert_array_equal(spared[passed].toarray(), gated[passed].toarray())
-    assert_array_equal(spared[~passed].toarray(), evidence.weights[~passed].toarray())
+    spared, left = Spared(Gated(gates))(evidence).weights.toarray(), kept.any(axis=1)
+    assert_allclose(spared, np.where(left[:, None], kept, dense))  # a row that no photo would keep is left as it was
 
 
 def test_rows_of_hardly_any_weight_are_pruned():
@@ -116,39 +100,6 @@ def test_tempering_by_hand():
     assert_allclose(features(Tempered(0.5), evidence), [[3 / 10**0.5, 1 / 10**0.5]], atol=1e-6)
     assert_allclose(features(Tempered(0.0), evidence), [[0.5**0.5, 0.5**0.5]], atol=1e-6)
     assert_allclose(features(Tempered(1.0), evidence), features(aggregator("mean"), evidence))
-
-
-def test_gates_and_rejection_leave_the_weights_of_what_stays():
-    evidence = evidence_of(default_rng(6))
-    dense = evidence.weights.toarray()
-    for how in (Gated(), Spared(), OutlierRejection(1.0), Pruned(share=0.5)):
-        kept = how(evidence).weights.toarray()
-        assert 0 < np.count_nonzero(kept) < np.count_nonzero(dense)
-        assert_array_equal(kept[kept > 0], dense[kept > 0])
-
-
-def test_a_view_taken_twice_counts_twice_or_by_its_root():
-    """Twice the same photo: the mean gives it twice its weight; tempering does so too, after the root."""
-    twice = one_row([4, 4, 1], [[1, 0], [1, 0], [0, 1]])
-    heavier = one_row([8, 1], [[1, 0], [0, 1]])
-    assert_allclose(features(aggregator("mean"), twice), features(aggregator("mean"), heavier))
-    ours = features(Tempered(0.5), twice)
-    assert_allclose(ours, [[4 / 17**0.5, 1 / 17**0.5]], atol=1e-6)
-    assert effective_views(twice)[0] == pytest.approx(81 / 33)
-
-
-@few
-@given(seeds, st.floats(0.5, 3.0))
-def test_an_outlier_moves_the_median_less_than_the_mean(seed, angle):
-    """A fifth of the weight in one wrong view, at any angle, that does not come first."""
-    rng = default_rng(seed)
-    place = int(rng.integers(1, 5))
-    embeddings = [[1.0, 0.0]] * 5
-    embeddings[place] = [np.cos(angle), np.sin(angle)]
-    evidence = one_row([1.0] * 5, embeddings)
-    mean, median = (features(how, evidence)[0, 0] for how in (aggregator("mean"), CosineMedian()))
-    assert median > mean - 1e-6
-    assert features(OutlierRejection(), evidence)[0, 0] == pytest.approx(1, abs=1e-6)
 
 
 @few
@@ -208,30 +159,6 @@ def test_centre_weights_do_not_depend_on_how_many_pixels_are_looked_at_at_once(g
         assert_array_equal(a, b)
 
 
-def test_a_centre_adds_no_more_than_its_mask_sees_of_it(gaussians):
-    arrays, view = splat_arrays(gaussians), named_view(2)
-    mask_ids = random_mask_map(view.height, view.width, 6, seed=1)
-    total = {(i, s): w for i, s, w in zip(*view_weights(arrays, view, mask_ids, None), strict=True)}
-    for i, s, w in zip(*centre_weights(arrays, view, mask_ids), strict=True):
-        assert w <= total[i, s] * (1 + 1e-5)
-        assert w <= arrays.opacities[i]
-
-
-def test_what_is_behind_or_outside_has_no_pixel(gaussians):
-    arrays, view = splat_arrays(gaussians), named_view(0)
-    pixels = centre_pixels(arrays, view)
-    assert (pixels == -1).any()
-    turned = view.cam_from_world.copy()
-    turned[:3] = np.diag([-1, 1, -1]) @ turned[:3]
-    assert (centre_pixels(arrays, replace(view, cam_from_world=turned)) == -1).all()
-
-
-def test_a_map_without_masks_gives_no_centre(gaussians):
-    view = named_view(0)
-    nothing = np.full((view.height, view.width), -1, np.int32)
-    assert not len(centre_weights(splat_arrays(gaussians), view, nothing).weights)
-
-
 def test_registering_centres(gaussians):
     views, features = capture()
     ours = register(gaussians, views, features, sampling=CentrePixels())
@@ -280,11 +207,7 @@ def test_a_field_of_one_of_them_still_loads(gaussians, tmp_path):
 def test_names():
     assert all(name == how.name for name, how in MEASURED.items())
     assert MEASURED["spared-gates"].parameters == MEASURED["gates"].parameters
-    assert set(MEASURED["gates"].parameters) == {
-        "MassGate.share",
-        "MassGate.floor",
-        "QuantileGate.quantile",
-        "QuantileGate.floor",
-    }
+    names = {"MassGate.share", "MassGate.floor", "QuantileGate.quantile", "QuantileGate.floor"}
+    assert set(MEASURED["gates"].parameters) == names
     with refused("no aggregator 'vala'"):
         aggregator("vala")

@@ -7,16 +7,14 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 from scripts.made_tables import TABLES
 
 import drsplat as ds
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
+from drsplat.field.registration import Registration
 from drsplat.formats.known import FORMATS
 from drsplat.formats.tensors import map_tensors
-from toy_capture import NEGATIVES, PER_THING, write_toy_capture
+from toy_capture import NEGATIVES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (*(ROOT / "docs").rglob("*.md"), *(ROOT / name / "README.md" for name in ("world", "benchmarks")))
@@ -24,11 +22,6 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *PAGES])
 CODE_FOLDERS = ("", "src/drsplat", "native")
 
 every_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Path:
-    return write_toy_capture(tmp_path_factory.mktemp("documents"))
 
 
 def blocks(document: str, language: str) -> list[str]:
@@ -152,17 +145,12 @@ def test_every_rule_of_the_method_has_code_and_a_test():
 
 
 @pytest.fixture(scope="module")
-def field_folder(capture, tmp_path_factory) -> Path:
+def field_folder(edited_room, tmp_path_factory) -> Path:
     encoder = ds.WordEncoder()
     folder = tmp_path_factory.mktemp("field") / "scene.field"
-    features = ds.read_features(capture / "capture/language_features", encoder=encoder.identity)
-    views = ds.read_views(capture / "capture")
-    gaussians = ds.read_gaussians(capture / "scene.ply")
-    field = ds.register(gaussians, views, features).to_field()
-    field = replace(field, growth=ds.register(gaussians, views, features).to_field(ds.Mixture()).growth)
-    node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
-    roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
-    field = field.with_objects(describe(field, gaussians, Tree(node_of, roots, things, np.ones(2, np.float32))))
+    field = ds.load_field(edited_room / "room.field")
+    grown = Registration.from_field(field).to_field(ds.Mixture())
+    field = replace(field, growth=grown.growth)
     texts, vectors = tuple(NEGATIVES), encoder.encode_texts(NEGATIVES)
     field.with_negatives(vectors, texts).with_contrast(vectors, texts).save(folder)
     return folder

@@ -14,7 +14,7 @@ import pytest
 import drsplat as ds
 from drsplat.field.codes.codebook import save_codebook
 from drsplat.formats.moving_scenes import read_scene
-from edited_rooms import write_room
+from toy_capture import write_balls
 from written_captures import write_colmap_text
 
 NEEDS_A_BENCHMARK = "evaluate"
@@ -34,7 +34,7 @@ def public() -> Iterator[tuple[str, object]]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = write_room(tmp_path_factory.mktemp("shown"))
+    folder = write_balls(tmp_path_factory.mktemp("shown"))
     camera = (1, "PINHOLE", 96, 72, (80.0, 80.0, 48.0, 36.0))
     places = ds.read_gaussians(folder / "scene.ply").means.tolist()
     points = [(k, tuple(place), (120, 120, 120)) for k, place in enumerate(places, 1)]

@@ -2,15 +2,15 @@
 
 import base64
 import contextlib
+import io
 import json
 import re
 import runpy
 import socket
 import sys
-import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from importlib.util import find_spec
 from pathlib import Path
+from unittest.mock import Mock
 from urllib.error import HTTPError
 
 import numpy as np
@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 import drsplat as ds
-from drsplat.evaluation.demo.story import Story
+from drsplat.evaluation.demo.story import Story, Verdict
 from drsplat.formats.langsplat import write_features
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,13 +43,22 @@ def run(number: str, capsys: Capture, *arguments: str) -> str:
     return capsys.readouterr().out
 
 
+def verdict(demo: Story, text: str) -> Verdict:
+    """What the demo found."""
+    return next(one for one in demo.verdicts if one.probe.text == text)
+
+
 def found(demo: Story, text: str) -> np.ndarray:
-    """The Gaussians that the demo found."""
-    return next(one.gaussian_ids for one in demo.verdicts if one.probe.text == text)
+    return verdict(demo, text).gaussian_ids
 
 
 def center(demo: Story, text: str) -> np.ndarray:
-    return next(one.center for one in demo.verdicts if one.probe.text == text)
+    return verdict(demo, text).center
+
+
+def is_coloured(path: str) -> bool:
+    with Image.open(path) as picture:
+        return bool(np.ptp(np.asarray(picture), axis=2).max() > 100)
 
 
 def test_there_are_ten_and_the_tour_links_them_all():
@@ -94,8 +103,7 @@ def test_asking_saves_what_was_found(demo, capsys):
     ids = np.load("found.npy")
     assert np.isin(vase, ids).all()
     assert saved.extra["relevancy"][ids].min() > 0.5
-    with Image.open("found.png") as picture:
-        assert np.ptp(np.asarray(picture), axis=2).max() > 100  # some of it is in colour
+    assert is_coloured("found.png")
 
 
 def test_asking_for_what_is_not_there_saves_nothing(demo, capsys):
@@ -187,39 +195,21 @@ def test_asking_over_http(demo, capsys):
     answer = json.loads(printed)
     assert answer["field"] == demo.field.fingerprint
     assert np.abs(answer["matches"][0]["center"] - center(demo, "red vase")).max() < 1e-3
-    with Image.open("found_over_http.png") as picture:
-        assert np.ptp(np.asarray(picture), axis=2).max() > 100
+    assert is_coloured("found_over_http.png")
     with pytest.raises(ConnectionRefusedError):  # it was stopped
         socket.create_connection(("127.0.0.1", int(port)), 1)
 
 
-class BusyAtFirst(BaseHTTPRequestHandler):
-    """503 and when to come again, then an answer."""
-
-    asked = 0
-
-    def do_GET(self) -> None:
-        BusyAtFirst.asked += 1
-        busy = BusyAtFirst.asked == 1
-        self.send_response(503 if busy else 404 if self.path == "/none" else 200)
-        self.send_header("retry-after", "0")
-        self.end_headers()
-        self.wfile.write(b"here")
-
-    def log_message(self, *_: object) -> None: ...
-
-
-def test_a_busy_service_is_asked_again():
+def test_a_busy_service_is_asked_again(monkeypatch):
+    """503 and when to come again, then an answer; then 404, which is none."""
     fetch = runpy.run_path(str(EXAMPLES["09"]))["fetch"]
-    with HTTPServer(("127.0.0.1", 0), BusyAtFirst) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        address = f"http://127.0.0.1:{server.server_port}"
-        assert fetch(address) == b"here"
-        assert BusyAtFirst.asked == 2
-        with pytest.raises(HTTPError, match="404") as refused:
-            fetch(f"{address}/none")
-        refused.value.close()
-        server.shutdown()
+    busy, none = (HTTPError("", code, "", {"retry-after": "0"}, io.BytesIO()) for code in (503, 404))
+    asked = Mock(side_effect=[busy, io.BytesIO(b"here"), none])
+    monkeypatch.setitem(fetch.__globals__, "urlopen", asked)
+    assert fetch("http://127.0.0.1") == b"here"
+    assert asked.call_count == 2
+    with pytest.raises(HTTPError, match="404"):
+        fetch("http://127.0.0.1")
 
 
 @pytest.mark.slow

@@ -1,17 +1,15 @@
 """The gallery: what is asked of a room, a page and its picture, and the site's page of them."""
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
 from PIL import Image
+from scripts import make_gallery
 
 from viewing_scenes import boxes_scene
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import make_gallery  # noqa: E402
 
 
 @pytest.mark.parametrize("name", make_gallery.SCENES)

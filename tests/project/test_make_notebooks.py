@@ -4,18 +4,16 @@ import contextlib
 import io
 import json
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scripts import make_notebooks
 
 from drsplat import open_scene
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import make_notebooks  # noqa: E402
 
 
 def source(cell: dict[str, Any]) -> str:

@@ -1,15 +1,13 @@
 """The matrix of environments: which there are, and what they are pinned to."""
 
-import sys
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
+from scripts import matrix
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import matrix  # noqa: E402
 
 
 def test_the_oldest_are_the_lower_bounds():

@@ -1,17 +1,18 @@
 """The layouts of other tools' exports lead to the same answer (docs/neighbours.md)."""
 
-import json
 import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import drsplat as ds
-from toy_capture import HEIGHT, NEGATIVES, THINGS, WIDTH, write_toy_capture
+from toy_capture import NEGATIVES, THINGS
+from written_captures import model_of, transforms_document, write_colmap_text, write_json
 
 NEIGHBOURS = Path(__file__).resolve().parents[2] / "examples/neighbours"
 TURN = np.eye(4)
@@ -20,37 +21,13 @@ TURN[:3, 3] = (1.0, -2.0, 0.5)
 SCALE = 0.37  # of nerfstudio's frame
 
 
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Path:
-    return write_toy_capture(tmp_path_factory.mktemp("neighbours"))
-
-
 def colmap_model(views: list[ds.View], folder: Path) -> None:
-    """As text: one camera for all, and photos without points."""
-    folder.mkdir(parents=True)
-    k = views[0].K
-    (folder / "cameras.txt").write_text(
-        f"# made by another tool\n1 PINHOLE {WIDTH} {HEIGHT} {k[0, 0]} {k[1, 1]} {k[0, 2]} {k[1, 2]}\n"
-    )
-    lines = []
-    for number, view in enumerate(views, 1):
-        x, y, z, w = Rotation.from_matrix(view.cam_from_world[:3, :3]).as_quat()
-        pose = " ".join(map(str, (w, x, y, z, *view.cam_from_world[:3, 3])))
-        lines += [f"{number} {pose} 1 {view.name}", ""]
-    (folder / "images.txt").write_text("\n".join(lines) + "\n")
-    (folder / "points3D.txt").write_text("")
+    """As text, and photos without points."""
+    write_colmap_text(folder, *model_of(views), [])
 
 
-def frames(views: list[ds.View], folder: str, per_frame: bool) -> dict[str, object]:
-    """transforms.json: intrinsics with each frame, as of Polycam's poses, or once, as of Record3D's."""
-    k = views[0].K
-    lens = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "w": WIDTH, "h": HEIGHT}
-    entries = []
-    for view in views:
-        pose = np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1])
-        entry = {"file_path": f"{folder}/{view.name}", "transform_matrix": pose.tolist()}
-        entries.append(entry | (lens if per_frame else {}))
-    return {"camera_model": "OPENCV", "frames": entries} | ({} if per_frame else lens)
+def document_of(views: list[ds.View]) -> dict[str, Any]:
+    return transforms_document(*model_of(views)) | {"camera_model": "OPENCV"}
 
 
 def postshot(views, folder):
@@ -68,20 +45,27 @@ def metashape(views, folder):
 
 
 def polycam(views, folder):
-    document = frames(views, "images", per_frame=True)
+    """Intrinsics with each frame."""
+    document = document_of(views)
     for number, frame in enumerate(document["frames"]):
         frame |= {"depth_file_path": f"depth/{number}.png"}  # which is not there, and not needed
-    (folder / "transforms.json").write_text(json.dumps(document))
+    write_json(folder / "transforms.json", document)
 
 
 def record3d(views, folder):
-    (folder / "transforms.json").write_text(json.dumps(frames(views, "./images", per_frame=False)))
+    """Intrinsics once."""
+    document = document_of(views)
+    for frame in document["frames"]:
+        document |= {key: frame.pop(key) for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")}
+        frame.pop("camera_model")
+        frame["file_path"] = f"./{frame['file_path']}"
+    write_json(folder / "transforms.json", document)
 
 
 def nerfstudio(views, folder):
     record3d(views, folder)
     record = {"transform": TURN[:3].tolist(), "scale": SCALE}
-    (folder / "dataparser_transforms.json").write_text(json.dumps(record))
+    write_json(folder / "dataparser_transforms.json", record)
 
 
 def in_its_frame(gaussians: ds.Gaussians) -> ds.Gaussians:
@@ -90,14 +74,14 @@ def in_its_frame(gaussians: ds.Gaussians) -> ds.Gaussians:
 
 
 @pytest.mark.parametrize("layout", [postshot, realityscan, metashape, polycam, record3d, nerfstudio])
-def test_a_layout_leads_to_the_answer(layout, toy, tmp_path):
-    shutil.copytree(toy / "capture/images", tmp_path / "images")
-    layout(ds.read_views(toy / "capture"), tmp_path)
-    gaussians, at = ds.read_gaussians(toy / "scene.ply"), np.array(THINGS["red mug"])
+def test_a_layout_leads_to_the_answer(layout, edited_room, tmp_path):
+    shutil.copytree(edited_room / "capture/images", tmp_path / "images")
+    layout(ds.read_views(edited_room / "capture"), tmp_path)
+    gaussians, at = ds.read_gaussians(edited_room / "scene.ply"), np.array(THINGS["red mug"])
     if layout is nerfstudio:
         gaussians, at = in_its_frame(gaussians), SCALE * (TURN[:3, :3] @ at + TURN[:3, 3])
     encoder = ds.WordEncoder()
-    features = ds.read_features(toy / "capture/language_features", encoder=encoder.identity)
+    features = ds.read_features(edited_room / "capture/language_features", encoder=encoder.identity)
     views = ds.read_views(tmp_path)
     assert all(view.image_path is not None for view in views)
     field = ds.register(gaussians, views, features).to_field()

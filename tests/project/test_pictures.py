@@ -1,7 +1,6 @@
 """Pictures of the documents are as new as what they show: those of the demo are drawn again, the others have a hash."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from benchmarks import study_edits
 from benchmarks.suite import stamps
 from PIL import Image
-from scripts import pictures
+from scripts import make_film, make_pictures, pictures
 
 import drsplat as ds
 from drsplat.authoring.filming.frames import Highlight
@@ -17,9 +16,6 @@ from drsplat.evaluation.demo.story import Story, write_album
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"
-sys.path.insert(0, str(ROOT / "scripts"))
-import make_film  # noqa: E402
-import make_pictures  # noqa: E402
 
 DRAWN_AGAIN = {
     "use_find.jpg", "use_list.jpg", "use_change.jpg", "card.png", "demo.jpg", "objects.jpg", "attributes.jpg",

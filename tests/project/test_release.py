@@ -1,16 +1,14 @@
 """What a release consists of: one version, workflows that name what exists, recipes that are well-formed."""
 
 import re
-import sys
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from scripts import check_release
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import check_release  # noqa: E402
 
 WORKFLOWS = sorted((ROOT / ".github/workflows").glob("*.yml"))
 pytestmark = pytest.mark.skipif(not WORKFLOWS, reason="an sdist has no workflows")

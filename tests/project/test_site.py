@@ -11,14 +11,12 @@ from typing import Any
 
 import pytest
 from PIL import Image
+from scripts import check_links, make_gallery
 
-from browsing import SLOW, a_browser, eventually, needs_chromium
+from browsing import SLOW, eventually, needs_chromium
 from viewing_scenes import boxes_scene
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import check_links  # noqa: E402
-import make_gallery  # noqa: E402
 
 CONTRAST = (ROOT / "tests/support/contrast.js").read_text(encoding="utf-8").partition("\n")[2]
 
@@ -148,12 +146,6 @@ def test_the_film_is_short_small_and_has_a_still():
 # --- in a browser, opened from a folder ---
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with a_browser() as one:
-        yield one
-
-
 @contextmanager
 def opened(browser: Any, page: Path, **settings: Any) -> Iterator[Any]:
     """A page of the site; whatever asks another host, or for what is not there, fails the test."""
@@ -171,9 +163,9 @@ def opened(browser: Any, page: Path, **settings: Any) -> Iterator[Any]:
 
 @pytest.mark.slow
 @needs_chromium
-def test_the_search_works_in_a_folder(browser, site):
+def test_the_search_works_in_a_folder(chromium, site):
     for name in ("index.html", "tutorials/from_a_phone.html"):
-        with opened(browser, site / name) as page:
+        with opened(chromium, site / name) as page:
             page.wait_for_function("window.__index")  # else what is typed is not looked for
             page.click("input.md-search__input")
             page.keyboard.type("threshold")
@@ -184,8 +176,8 @@ def test_the_search_works_in_a_folder(browser, site):
 
 @pytest.mark.slow
 @needs_chromium
-def test_the_demo_starts_when_it_is_asked_for(browser, site):
-    with opened(browser, site / "index.html") as page:
+def test_the_demo_starts_when_it_is_asked_for(chromium, site):
+    with opened(chromium, site / "index.html") as page:
         assert page.locator("iframe[src]").count() == 0
         page.click(".live button")
         page.frame_locator(".live iframe").locator("canvas").first.wait_for()
@@ -193,31 +185,31 @@ def test_the_demo_starts_when_it_is_asked_for(browser, site):
 
 @pytest.mark.slow
 @needs_chromium
-def test_who_wants_no_motion_sees_a_still(browser, site):
+def test_who_wants_no_motion_sees_a_still(chromium, site):
     for motion, name in (("reduce", "tour.jpg"), ("no-preference", "tour.webp")):
-        with opened(browser, site / "index.html", reduced_motion=motion) as page:
+        with opened(chromium, site / "index.html", reduced_motion=motion) as page:
             assert page.evaluate("document.querySelector('.hero img').currentSrc").endswith(name)
 
 
 @pytest.mark.slow
 @needs_chromium
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_texts_differ_from_what_is_behind_them(browser, site, scheme):
+def test_texts_differ_from_what_is_behind_them(chromium, site, scheme):
     for name in ("index", "overview", "evaluation", "api", "reference/python", "examples", "404"):
-        with opened(browser, site / f"{name}.html", color_scheme=scheme) as page:
+        with opened(chromium, site / f"{name}.html", color_scheme=scheme) as page:
             found = page.evaluate(CONTRAST)
             assert found["count"] > 20
             assert found["faults"] == [], name
 
 
 @needs_chromium
-def test_faint_texts_are_found(browser, tmp_path):
+def test_faint_texts_are_found(chromium, tmp_path):
     (tmp_path / "a.html").write_text(
         '<body style="background:#fff"><p style="color:#777">a<p style="color:#767676">b'
         '<p style="color:#949494;font-size:24px">c<p style="color:#959595;font-size:24px">d'
         '<div style="background:#000"><p style="color:rgba(255,255,255,.3)">e</div>'
     )
-    with opened(browser, tmp_path / "a.html") as page:
+    with opened(chromium, tmp_path / "a.html") as page:
         found = page.evaluate(CONTRAST)
     assert found["count"] == 5
     assert [fault[-2] for fault in found["faults"]] == ["a", "d", "e"]  # 4.48, 2.99 and 2.6 to 1
@@ -225,7 +217,7 @@ def test_faint_texts_are_found(browser, tmp_path):
 
 @pytest.mark.slow
 @needs_chromium
-def test_it_is_read_on_a_phone(browser, site):
+def test_it_is_read_on_a_phone(chromium, site):
     for name in ("index", "overview", "evaluation", "gallery", "formats", "404"):
-        with opened(browser, site / f"{name}.html", viewport={"width": 390, "height": 844}) as page:
+        with opened(chromium, site / f"{name}.html", viewport={"width": 390, "height": 844}) as page:
             assert page.evaluate("document.documentElement.scrollWidth") <= 390, name

@@ -4,11 +4,8 @@ import sys
 from pathlib import Path
 from types import FrameType
 
-import pytest
-
 import drsplat
 from drsplat.cli import main
-from toy_capture import write_toy_capture
 
 HOME = Path(drsplat.__file__).parent
 AROUND = {"base/kinds", "errors", "base/terminal", "base/progress"}  # hands on, and says
@@ -61,18 +58,12 @@ def way(argv: list[str], kernel: str) -> list[Stop]:
     return list(dict.fromkeys(at for above, at in called[first:] if above and above[0] != at[0]))
 
 
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_toy_capture(tmp_path_factory.mktemp("way"))
-
-
-def test_few_functions_lie_between_the_arguments_and_the_kernel(capture, capsys):
-    scene, field = str(capture / "scene.ply"), str(capture / "room.field")
-    options = ["--features", str(capture / "capture/language_features"), "--encoder-name", "drsplat-words"]
-    register = ["register", scene, str(capture / "capture"), *options, "--output", field, "--code", "pq", "--json"]
-    locate = ["locate", field, "red mug", "--scene", scene, "--json"]
-    for argv, kernel, most in ((register, "view_weights", 12), (locate, "scan_scores", 10)):
-        stops = way(argv, kernel)
+def test_few_functions_lie_between_the_arguments_and_the_kernel(room, capsys):
+    features = f"--features {room}/capture/language_features --encoder-name drsplat-words"
+    register = f"register {room}/scene.ply {room}/capture {features} --output {room}/new.field --code pq --json"
+    locate = f"locate {room}/new.field mug --scene {room}/scene.ply --json"
+    for line, kernel, most in ((register, "view_weights", 12), (locate, "scan_scores", 10)):
+        stops = way(line.split(), kernel)
         assert stops[-1][1] == kernel
         assert len(stops) <= most, stops
         assert len({module.partition("/")[0] for module, _ in stops}) <= 6, stops

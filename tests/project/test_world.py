@@ -1,7 +1,7 @@
 """The household world (world/): things, looks, rooms, cameras, layouts. Only the last tests render."""
 
 import json
-import zipfile
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,63 +11,52 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image, ImageDraw
+from scipy.ndimage import binary_fill_holes
 from world import contours, layouts, looks, meshes, scan, textures
-from world.cameras import is_free, look_at, views_of
-from world.denoising import denoised
+from world.cameras import is_free, views_of
 from world.render import Shot
 from world.rooms import Room, make_room, overlap
 from world.things import CATALOGUE, make
 
 import drsplat as ds
+from drsplat.formats.lerf_ovs import fill_polygon, read_lerf_labels
+from drsplat.formats.scannet import read_scannet_labels
 
 SPLITS = (looks.TRAIN, looks.TEST)
-SEEDS = range(2)
 # the longest side of each thing, in metres
 LENGTHS = {
     "kitchen": (0.05, 0.45), "food": (0.05, 0.32), "toys": (0.06, 0.4), "decor": (0.08, 1.3), "furniture": (0.3, 2.1),
 }  # fmt: skip
-every_kind = pytest.mark.parametrize("kind", CATALOGUE)
 
 
-def room(seed: int = 1, split: looks.Split = looks.TEST) -> Room:
-    return make_room(split, seed)
+def room(seed: int = 1) -> Room:
+    return make_room(looks.TEST, seed)
 
 
-@every_kind
-def test_meshes_are_sound(kind):
-    for split in SPLITS:
-        for seed in SEEDS:
-            for part in make(kind, split, seed).parts:
-                mesh = part.mesh
-                assert np.isfinite(mesh.vertices).all()
-                assert np.isfinite(mesh.uv).all()
-                assert mesh.faces.min() >= 0
-                assert mesh.faces.max() < len(mesh.vertices)
-                assert meshes.areas(mesh.vertices, mesh.faces).min() > 0
-                assert part.look.material in looks.MATERIALS
-
-
-@every_kind
-def test_things_stand_on_the_floor_and_have_their_size(kind):
-    family = CATALOGUE[kind].__module__.rsplit(".", 1)[1]
-    for seed in SEEDS:
-        thing = make(kind, looks.TRAIN, seed)
+@pytest.mark.parametrize("split", SPLITS, ids=lambda split: split.name)
+@pytest.mark.parametrize("kind", CATALOGUE)
+def test_things_are_sound_stand_on_the_floor_have_their_size_and_wear_their_splits_textures(kind, split):
+    """Of a closed surface that looks outwards the signed volume is positive; `ball`'s two skins are closed together."""
+    least, most = LENGTHS[CATALOGUE[kind].__module__.rsplit(".", 1)[1]]
+    bits = []
+    for seed in (0, 1, 1):
+        thing = make(kind, split, seed)
         low, high = thing.bounds
-        assert low[2] == pytest.approx(0, abs=1e-9)
-        assert_allclose(low[:2] + high[:2], 0, atol=1e-9)
-        assert LENGTHS[family][0] < thing.size.max() < LENGTHS[family][1]
+        assert_allclose([low[2], *(low + high)[:2]], 0, atol=1e-9)
+        assert least < thing.size.max() < most
         assert thing.color in looks.COLORS
-
-
-@every_kind
-def test_normals_look_outwards(kind):
-    """Of a closed surface the signed volume is positive; `ball`'s two skins are closed together."""
-    for seed in SEEDS:
-        parts = make(kind, looks.TRAIN, seed).parts
-        together = meshes.joined(*(part.mesh for part in parts))
-        for mesh in [together] if kind == "ball" else [part.mesh for part in parts]:
+        solids = [part.mesh for part in thing.parts]
+        textured = [part.look.texture for part in thing.parts if part.look.texture is not None]
+        for mesh in [meshes.joined(*solids)] if kind == "ball" else solids:
+            assert np.isfinite(mesh.uv).all()
+            assert meshes.areas(mesh.vertices, mesh.faces).min() > 0
             assert meshes.volume(mesh) > 0
             assert is_closed(mesh)
+        assert {part.look.material for part in thing.parts} <= {*looks.MATERIALS}
+        assert {texture.family for texture in textured} <= {f for families in split.families.values() for f in families}
+        arrays = [a for mesh in solids for a in (mesh.vertices, mesh.faces, mesh.uv)]
+        bits.append(b"".join(array.tobytes() for array in (*arrays, *(texture.bitmap for texture in textured))))
+    assert bits[0] != bits[1] == bits[2]
 
 
 def is_closed(mesh: meshes.Mesh) -> bool:
@@ -80,42 +69,6 @@ def is_closed(mesh: meshes.Mesh) -> bool:
     return all(np.array_equal(a, b) for a, b in zip(*both, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("mesh", "volume"),
-    [
-        (meshes.box((1, 2, 3)), 6.0),
-        (meshes.sphere(1, 2, 3, 64), 4 / 3 * np.pi * 6),
-        (meshes.cylinder(1, 2, 0, 200), 2 * np.pi),
-        (meshes.lathe([(0, 0), (1, 0), (0, 3)], 200), np.pi),
-        (meshes.sweep([(0, 0, 0), (0, 0, 1), (0, 0, 2)], 0.5, 200), np.pi / 2),
-        (meshes.extrude([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], 3), 9.0),
-    ],
-    ids=["box", "sphere", "cylinder", "cone", "tube", "L"],
-)
-def test_volumes_of_solids(mesh, volume):
-    assert meshes.volume(mesh) == pytest.approx(volume, rel=5e-3)
-    assert is_closed(mesh)
-
-
-def test_a_rounded_box_keeps_its_size_and_loses_its_corners():
-    sharp, soft = meshes.box((1, 2, 3)), meshes.box((1, 2, 3), 0.2)
-    assert_allclose(soft.vertices.min(0), sharp.vertices.min(0), atol=1e-12)
-    assert_allclose(soft.vertices.max(0), sharp.vertices.max(0), atol=1e-12)
-    assert meshes.volume(soft) < meshes.volume(sharp)
-
-
-@every_kind
-def test_the_same_seed_makes_the_same_bits_and_another_another(kind):
-    def bits(seed: int) -> bytes:
-        parts = make(kind, looks.TRAIN, seed).parts
-        arrays = [a for p in parts for a in (p.mesh.vertices, p.mesh.faces, p.mesh.uv)]
-        arrays += [p.look.texture.bitmap for p in parts if p.look.texture is not None]
-        return b"".join(array.tobytes() for array in arrays)
-
-    assert bits(5) == bits(5)
-    assert bits(5) != bits(6)
-
-
 def test_splits_share_neither_seeds_nor_textures():
     assert looks.TRAIN.last <= looks.TEST.first
     for use in looks.TRAIN.families:
@@ -125,24 +78,6 @@ def test_splits_share_neither_seeds_nor_textures():
     assert looks.TRAIN.rng(0).random() != looks.TEST.rng(0).random()
     with pytest.raises(ValueError, match=r"split 'train': expected a seed in 0\.\.999999"):
         looks.TRAIN.rng(1_000_000)
-
-
-@pytest.mark.parametrize("split", SPLITS, ids=lambda split: split.name)
-def test_things_wear_only_their_splits_textures(split):
-    allowed = {family for families in split.families.values() for family in families}
-    for kind in CATALOGUE:
-        for seed in SEEDS:
-            parts = make(kind, split, seed).parts
-            assert {p.look.texture.family for p in parts if p.look.texture is not None} <= allowed
-
-
-@pytest.mark.parametrize("family", textures.PATTERNS)
-def test_textures_repeat_without_a_seam_that_stands_out(family):
-    image = textures.bitmap(family, default_rng(0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    gray = image[..., 0].astype(float)
-    for line in (gray, gray.T):
-        steps = np.abs(np.diff(line, axis=0)).mean(1)
-        assert np.abs(line[0] - line[-1]).mean() <= 2 * steps.max() + 2
 
 
 def test_names_of_colours_hold_their_shades_apart():
@@ -157,27 +92,22 @@ def test_names_of_colours_hold_their_shades_apart():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_rooms_have_no_overlaps_and_nothing_floats(seed):
+    """What stands on a ledge lies within its host. The same seed makes the same room."""
     made = room(seed)
-    assert 8 <= len(made.objects) <= 20
-    assert len({o.thing.name for o in made.objects}) >= 8
-    heights = [0.0, *(ledge.z for o in made.objects for ledge in o.thing.ledges)]
+    assert 8 <= len({o.thing.name for o in made.objects}) <= len(made.objects) <= 20
+    hosts = [o for o in made.objects if o.thing.ledges]
+    heights = [0.0, *(ledge.z for host in hosts for ledge in host.thing.ledges)]
     for k, one in enumerate(made.objects):
         assert (np.abs(one.footprint) <= np.array(made.size) / 2).all()
-        assert min(abs(one.position[2] - z) for z in heights) < 1e-9
+        height = one.position[2]
+        assert min(abs(height - z) for z in heights) < 1e-9
+        assert height == 0 or any(_within(one.footprint, host.footprint) for host in hosts)
         for other in made.objects[:k]:
-            if one.position[2] == other.position[2]:
-                assert not overlap(one.footprint, other.footprint, 0.0)
-            if one.thing.name == other.thing.name and one.position[2] > 0 < other.position[2]:
+            assert height != other.position[2] or not overlap(one.footprint, other.footprint, 0.0)
+            if one.thing.name == other.thing.name and height > 0 < other.position[2]:
                 assert one.thing.color != other.thing.color
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_what_stands_on_a_ledge_lies_within_its_host(seed):
-    made = room(seed)
-    hosts = [o for o in made.objects if o.thing.ledges]
-    for one in made.objects:
-        if one.position[2] > 0:
-            assert any(_within(one.footprint, host.footprint) for host in hosts)
+    places, same, others = ([o.position for o in r.objects] for r in (made, room(seed), room(seed + 1)))
+    assert places == same != others
 
 
 def _within(inner: np.ndarray, outer: np.ndarray) -> bool:
@@ -187,21 +117,11 @@ def _within(inner: np.ndarray, outer: np.ndarray) -> bool:
 
 
 @given(st.floats(0, 360), st.floats(-3, 3), st.floats(-3, 3))
-def test_rectangles_overlap_if_a_point_is_in_both(degrees, x, y):
+def test_squares_overlap_where_their_inner_circles_do_and_not_where_their_outer_ones_do_not(degrees, x, y):
     square = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
     other = square @ meshes.turn("z", degrees)[:2, :2].T + [x, y]
-    dense = np.stack(np.meshgrid(*[np.linspace(0, 1, 15)] * 2), axis=-1).reshape(-1, 2)
-    points = other[0] + dense @ np.stack([other[1] - other[0], other[3] - other[0]])
-    if (np.abs(points) < 1).all(1).any():
-        assert overlap(square, other, 0.0)
-    if np.hypot(x, y) > 2 * np.sqrt(2):
-        assert not overlap(square, other, 0.0)
-
-
-def test_the_same_seed_makes_the_same_room():
-    a, b, c = room(3), room(3), room(4)
-    assert [o.position for o in a.objects] == [o.position for o in b.objects]
-    assert [o.position for o in a.objects] != [o.position for o in c.objects]
+    if not 2 <= np.hypot(x, y) <= 2 * np.sqrt(2):
+        assert overlap(square, other, 0.0) == (np.hypot(x, y) < 2)
 
 
 @pytest.mark.slow
@@ -218,34 +138,16 @@ def test_cameras_stand_free_and_see_things(seed):
         assert (inside & (pixels[:, 2] > 0)).sum() >= 2
 
 
-def test_look_at_is_upright_and_puts_its_target_in_the_middle():
-    eye, target = np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.5, 0.2])
-    view = look_at(eye, target, (64, 48), 60.0)
-    assert_allclose(view.center, eye, atol=1e-12)
-    x, y, z = view.cam_from_world[:3, :3] @ target + view.cam_from_world[:3, 3]
-    assert (x, y) == pytest.approx((0, 0), abs=1e-12)
-    assert z > 0
-    assert view.cam_from_world[1, 2] < 0  # y looks down
-
-
 @given(st.integers(0, 10_000))
 def test_polygons_fill_to_their_mask(seed):
     rng = default_rng(seed)
     canvas = Image.new("1", (60, 50))
-    draw = ImageDraw.Draw(canvas)
-    for _ in range(int(rng.integers(1, 4))):
-        x, y, w, h = rng.integers(0, 30, 4).tolist()
-        draw.ellipse((x, y, x + w + 4, y + h + 4), fill=1)
+    for x, y, w, h in rng.integers(0, 30, (rng.integers(1, 4), 4)).tolist():
+        ImageDraw.Draw(canvas).ellipse((x, y, x + w + 4, y + h + 4), fill=1)
     mask = np.array(canvas)
-    filled = np.zeros_like(mask)
-    for polygon in contours.polygons(mask):
-        piece = Image.new("1", (60, 50))
-        ImageDraw.Draw(piece).polygon(polygon, fill=1, outline=1)
-        filled |= np.array(piece)
+    filled = np.any([fill_polygon(np.array(polygon), 60, 50) for polygon in contours.polygons(mask)], axis=0)
     assert not (mask & ~filled).any()
-    from scipy.ndimage import binary_fill_holes
-
-    assert (filled & ~binary_fill_holes(mask)).sum() == 0
+    assert not (filled & ~binary_fill_holes(mask)).any()
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -253,22 +155,8 @@ def test_a_strip_one_pixel_wide_has_three_corners_as_labels_need(turned):
     mask = np.zeros((20, 20), np.bool_)
     mask[4, 3:17] = True
     (corners,) = contours.polygons(mask.T if turned else mask)
-    ends = {(3, 4), (16, 4)}
     assert len(corners) == 3
-    assert set(corners) == {(y, x) if turned else (x, y) for x, y in ends}
-
-
-def test_denoising_keeps_edges_and_averages_noise():
-    rng = default_rng(0)
-    albedo = np.where(np.arange(40)[None, :, None] < 20, 0.2, 0.8) * np.ones((30, 40, 3))
-    normals = np.broadcast_to([0.0, 0.0, 1.0], albedo.shape)
-    clean = 0.7 * albedo
-    noisy = clean * rng.uniform(0.8, 1.2, (30, 40, 1))
-    out = denoised(noisy, albedo, normals)
-    assert np.abs(out - clean).std() < 0.35 * np.abs(noisy - clean).std()
-    assert_allclose(denoised(clean, albedo, normals), clean, rtol=1e-4)
-    noisy[15, 10] = 50  # a firefly
-    assert np.abs(denoised(noisy, albedo, normals) - clean).max() < 0.2
+    assert {tuple(corner[::-1] if turned else corner) for corner in corners} == {(3, 4), (16, 4)}
 
 
 def painted_shots(made: Room, count: int = 6) -> list[Shot]:
@@ -295,97 +183,64 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Room, list[
     points = scan.from_depth(shots, 600, rng)
     layouts.write_truth(folder, made, shots, {"seed": 1})
     layouts.write_lerf(folder / "lerf_ovs", "s", made, shots, points)
-    layouts.write_scannet(folder / "scannet", "s", made, shots, points)
+    layouts.write_scannet(folder / "scannet", "s", made, points)
     return folder, made, shots
 
 
 def test_the_lerf_layout_reads_back(written):
-    folder, _, shots = written
+    folder, made, shots = written
     views = ds.read_views(folder / "lerf_ovs" / "s")
     assert [v.name for v in views] == [s.view.name for s in shots]
     for view, shot in zip(views, shots, strict=True):
         assert_allclose(view.cam_from_world, shot.view.cam_from_world, atol=1e-12)
         assert_allclose(view.K, shot.view.K)
-        assert view.image_path is not None
-        with Image.open(view.image_path) as photo:
-            assert photo.size == (96, 72)
-    points = ds.read_sparse_points(folder / "lerf_ovs" / "s")
-    assert len(points.positions) == 600
-
-
-def test_label_polygons_are_the_ids(written):
-    folder, made, shots = written
-    by_stem = {Path(s.view.name).stem: s for s in shots}
-    paths = sorted((folder / "lerf_ovs" / "label" / "s").glob("*.json"))
-    assert [path.stem for path in paths] == [Path(s.view.name).stem for s in shots[::8]]
-    for path in paths:
-        record, shot = json.loads(path.read_text()), by_stem[path.stem]
-        assert record["info"] == {"name": f"{path.stem}.jpg", "width": 96, "height": 72}
-        assert record["objects"]
-        for name in {o["category"] for o in record["objects"]}:
-            canvas = Image.new("1", (96, 72))
-            for piece in (o for o in record["objects"] if o["category"] == name):
-                corners = [tuple(point) for point in piece["segmentation"]]
-                assert piece["bbox"] == [*np.min(corners, 0), *np.max(corners, 0)]
-                ImageDraw.Draw(canvas).polygon(corners, fill=1, outline=1)
+        assert ds.load_image(view).shape == (72, 96, 3)
+    assert len(ds.read_sparse_points(folder / "lerf_ovs" / "s").positions) == 600
+    frames = read_lerf_labels(folder / "lerf_ovs/label/s")
+    assert [frame.name for frame in frames] == [Path(s.view.name).stem for s in shots[::8]]
+    for frame, shot in zip(frames, shots[::8], strict=True):
+        for name in frame.categories:
             numbers = [k for k in range(len(made.objects)) if layouts.category(made, k) == name]
-            truth, drawn = np.isin(shot.ids, numbers), np.array(canvas)
+            truth, drawn = np.isin(shot.ids, numbers), frame.mask(name)
             assert (truth & drawn).sum() / (truth | drawn).sum() > 0.8
 
 
 def test_the_scannet_layout_reads_back(written):
-    folder, made, shots = written
+    folder, made, _ = written
     place = folder / "scannet" / "s"
-    train, test = (ds.read_views(place / f"transforms_{part}.json") for part in ("train", "test"))
-    assert len(train) + len(test) == len(shots)
-    poses = {f"color/{s.view.name}": s.view.cam_from_world for s in shots}
-    for view in train + test:
-        assert_allclose(view.cam_from_world, poses[view.name], atol=1e-12)
-    header, _, body = (place / "s_vh_clean_2.labels.ply").read_bytes().partition(b"end_header\n")
-    assert b"property ushort label\n" in header
-    row = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4), ("label", "<u2")])
-    rows = np.frombuffer(body, row)
-    ids = np.array(json.loads((place / "s_vh_clean_2.0.010000.segs.json").read_text())["segIndices"])
-    assert f"element vertex {len(ids)}\n".encode() in header
+    ids = json.loads((place / "s_vh_clean_2.0.010000.segs.json").read_text())["segIndices"]
     names = [o.thing.name for o in made.objects] + [s.name for s in made.structures]
-    assert [layouts.NYU40.get(names[k], 40) for k in ids] == rows["label"].tolist()
+    labels = read_scannet_labels(place / "s_vh_clean_2.labels.ply").labels
+    assert [layouts.NYU40.get(names[k], 40) for k in ids] == labels.tolist()
     groups = json.loads((place / "s.aggregation.json").read_text())["segGroups"]
     assert {g["label"] for g in groups} == {names[k] for k in ids}
 
 
 def test_the_truth_is_whole(written):
     folder, made, shots = written
-    truth = json.loads((folder / "truth.json").read_text())
-    assert [o["id"] for o in truth["objects"]] == list(range(len(made.objects)))
-    assert {"name", "color", "material", "center", "box"} <= set(truth["objects"][0])
+    objects = json.loads((folder / "truth.json").read_text())["objects"]
+    assert [o["id"] for o in objects] == list(range(len(made.objects)))
+    assert {"name", "color", "material", "center", "box"} <= set(objects[0])
     for shot in shots:
         stem = Path(shot.view.name).stem
         with Image.open(folder / "ids" / f"{stem}.png") as picture:
-            ids = np.array(picture).astype(int) - 1
-        assert_array_equal(ids, shot.ids)
+            assert_array_equal(np.array(picture).astype(int) - 1, shot.ids)
         assert_array_equal(np.load(folder / "depth" / f"{stem}.npz")["depth"], shot.depth)
 
 
 def test_points_of_surfaces_lie_on_them_and_are_seen():
     rng = default_rng(0)
-    points = scan.on_mesh(meshes.box((1, 1, 1)), 0.1, rng)
+    points = scan.on_mesh(meshes.box((1, 1, 1)), 0.1, rng) - [0, 0, 0.5]
     assert abs(len(points) - 600) <= 1
-    on_top = np.abs(np.abs(points[:, 2] - 0.5) - 0.5) < 1e-9
-    on_side = np.abs(np.abs(points[:, :2]).max(1) - 0.5) < 1e-9
-    assert (on_top | on_side).all()
+    assert_allclose(np.abs(points).max(1), 0.5, atol=1e-9)
     made = room(1)
-    shots = painted_shots(made, 2)
-    seen = scan.from_depth(shots, 100, rng)
+    seen = scan.from_depth(painted_shots(made, 2), 100, rng)
     assert set(seen.ids.tolist()) <= set(range(len(made.objects) + 1))
 
 
 def test_the_wheel_is_told_to_leave_the_world_out():
-    import tomllib
-
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
     assert project["tool"]["scikit-build"]["wheel"]["packages"] == ["src/drsplat"]
-    for wheel in (Path(__file__).parents[2] / "dist").glob("*.whl"):
-        assert not any(name.startswith("world/") for name in zipfile.ZipFile(wheel).namelist())
 
 
 # With the renderer
@@ -405,8 +260,7 @@ def test_photos_are_lit_and_every_ray_ends_somewhere_sensible(shots):
     made, taken = shots
     for shot in taken:
         assert 60 < shot.image.mean() < 210
-        assert shot.ids.min() >= -1
-        assert shot.ids.max() < len(made.objects) + len(made.structures)
+        assert set(np.unique(shot.ids)) <= set(range(-1, len(made.objects) + len(made.structures)))
         assert ((shot.depth > 0) == (shot.ids >= 0)).all()
         assert shot.depth.max() < 10
 
@@ -448,18 +302,3 @@ def test_crops_are_deterministic_and_show_their_thing():
         assert_array_equal(a.mask, b.mask)
         assert np.abs(a.image.astype(int) - b.image).max() <= 1
         assert a.mask.mean() > 0.02
-
-
-def test_the_renderers_camera_is_the_views_to_a_fraction_of_a_pixel():
-    pytest.importorskip("mitsuba", reason="pip install mitsuba==3.9.1 to render the world")
-    from world import engine
-
-    view = look_at(np.array([1.0, 2.0, 1.5]), np.array([0.0, 0.3, 0.2]), (64, 48), 60.0)
-    camera = engine.mitsuba().load_dict(engine.sensor(view, 1))
-    origin, directions = engine.pixel_rays(view)
-    for row, column in ((0, 0), (47, 0), (10, 63), (24, 32)):
-        place = [(column + 0.5) / 64, (row + 0.5) / 48]
-        ray, _ = camera.sample_ray(0.0, 0.5, place, [0.5, 0.5])
-        ours = directions[row, column] / np.linalg.norm(directions[row, column])
-        assert_allclose(np.ravel(ray.d), ours, atol=1e-5)  # a pixel is 2e-2
-        assert np.linalg.norm(np.cross(np.ravel(ray.o) - origin, ours)) < 1e-5

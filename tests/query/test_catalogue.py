@@ -26,7 +26,7 @@ from drsplat.errors import DrSplatWarning, MismatchError
 from drsplat.formats.replacing import NoRoom
 from drsplat.formats.tensors import header_checksum, map_tensors, write_tensors
 from drsplat.formats.tiles import write_tiles
-from drsplat.query.catalogue import Catalogue, Conditions, changes, snapshot
+from drsplat.query.catalogue import Catalogue, Conditions, changes, reading, snapshot
 from drsplat.query.catalogue.rows import MAX_BYTES, thumbnail
 from drsplat.query.catalogue.snapshot import DOCUMENT
 from drsplat.query.objects import support_of
@@ -76,6 +76,17 @@ def test_the_best_objects_of_all_scenes(filled):
     assert found(filled, "lamp") == [("o'hara", 2)]
     assert found(filled, "elephant") == []
     assert len(filled) == 6
+
+
+def test_no_more_scenes_are_asked_than_answers_need(filled, monkeypatch):
+    asked, real = [], reading.SceneRules.scene
+
+    def counted(rules, snapshot, place):
+        asked.append(place.entry.scene)
+        return real(rules, snapshot, place)
+
+    monkeypatch.setattr(reading.SceneRules, "scene", counted)
+    assert (found(filled, "mug", top=1), asked) == ([("kitchen", 0)], ["kitchen"])
 
 
 def test_exclusions_and_thresholds_mean_what_they_mean_in_a_scene(filled):

@@ -124,18 +124,22 @@ def test_parts_of_a_thing_of_nothing_else_choose_their_classes_for_themselves(sc
     assert_array_equal(for_comparing(replace(scene.field, objects=None), values), values)
 
 
+class Fixed:
+    """An encoder with a threshold, of these texts alone."""
+
+    threshold = 0.3
+
+    def __init__(self, **vectors: np.ndarray) -> None:
+        self.identity = TEST
+        self.vectors = {text: vector / np.linalg.norm(vector) for text, vector in vectors.items()}
+
+    def encode_texts(self, texts: Sequence[str]) -> np.ndarray:
+        return np.stack([self.vectors[text.replace(" ", "_")] for text in texts]).astype(np.float32)
+
+
 def test_a_thing_that_fits_best_hides_no_other(scene):
     """Box 0 reaches seven tenths of what box 1 does: more than the plain field's cut, which objects do not raise."""
-    query = 0.7 * axis(0) + axis(1)
-
-    class Half:
-        identity = scene.field.encoder
-        threshold = 0.3
-
-        def encode_texts(self, texts):
-            return np.stack([query / np.linalg.norm(query)] * len(texts)).astype(np.float32)
-
-    found = Scene(scene.field, scene.gaussians, encoder=Half()).locate("either")
+    found = Scene(scene.field, scene.gaussians, encoder=Fixed(either=0.7 * axis(0) + axis(1))).locate("either")
     assert sorted(match.object_id for match in found) == [0, 1]
 
 
@@ -185,17 +189,8 @@ def test_a_label_is_exactly_what_was_named(tmp_path):
 
 
 def test_what_is_excluded_is_excluded_in_whole_things(scene):
-    """A fake encoder of axes: "a" is box 0, "a b" fits box 1 as well."""
-    vectors = {"a": axis(0) + axis(1), "b a": axis(1)}
-
-    class Axes:
-        identity = scene.field.encoder
-        threshold = 0.3
-
-        def encode_texts(self, texts):
-            return np.stack([vectors[text] / np.linalg.norm(vectors[text]) for text in texts]).astype(np.float32)
-
-    asked = Scene(scene.field, scene.gaussians, encoder=Axes())
+    """ "a" is box 0, "b a" fits box 1 as well."""
+    asked = Scene(scene.field, scene.gaussians, encoder=Fixed(a=axis(0) + axis(1), b_a=axis(1)))
     assert len(asked.locate("a")) == 2
     (left,) = asked.locate("a, not b")
     assert left.object_id == 0

@@ -35,21 +35,3 @@ def test_products_are_those_of_the_vectors(count, dim, queries, seed):
     given_ones = rng.standard_normal((queries, dim)).astype(np.float32)
     expected = given_ones.astype(np.float64) @ packed.vectors.T.astype(np.float64)
     assert_allclose(packed.products(given_ones), expected, rtol=1e-5, atol=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("data", "steps"),
-    [
-        (np.zeros((2, 4), np.uint8), np.ones(4, np.float32)),
-        (np.zeros(3, np.uint8), np.ones(4, np.float32)),
-        (np.zeros((2, 3), np.int8), np.ones(4, np.float32)),
-        (np.zeros((2, 3), np.uint8), np.ones(4)),
-        (np.zeros((2, 3), np.uint8), np.ones(3, np.float32)),
-        (np.zeros((2, 3), np.uint8), np.float32([0, 1, 1, np.nan])),
-        (np.zeros((2, 3), np.uint8), np.float32([0, 1, 1, 2])),
-        (np.zeros((2, 3), np.uint8), np.float32([0, 1, 1, -1])),
-    ],
-)
-def test_other_arrays_are_refused(data, steps):
-    with pytest.raises(ValueError, match="expected"):
-        Packed.checked(data, steps, 4)

@@ -21,6 +21,7 @@ from drsplat.formats.field_folder import MANIFEST
 from drsplat.kernels.boxes import box_of, boxes_of
 from drsplat.query.tasks import locate
 from drsplat.scene.boxes import Box, up_of, upward
+from drsplat.scene.gaussians import concatenated
 from scenes import look_at_view, random_gaussians
 from twins import boxes as twin
 from twins.boxes import core, mixture_quantile
@@ -100,13 +101,7 @@ def knife(halo: int, seed: int = 2) -> Gaussians:
     means = np.stack([far * np.cos(angles), far * np.sin(angles), rng.uniform(-0.09, 0.09, halo)], axis=1)
     ids = np.arange(halo)
     around = replace(blade.subset(ids), means=means.astype(np.float32))
-    return replace(
-        blade,
-        **{
-            name: np.concatenate([getattr(blade, name), getattr(around, name)])
-            for name in ("means", "quats", "scales", "opacities", "sh")
-        },
-    )
+    return concatenated([blade, around])
 
 
 @pytest.mark.parametrize("up", [None, UP])

@@ -12,18 +12,12 @@ from drsplat import render
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.merging import areas_of, coarser, masses_of, merged, shapes_of
 from refusing import refused
-from scenes import look_at_view, random_gaussians
+from scenes import gaussians_at, look_at_view, random_gaussians
 
 
 def ball(*centers: tuple[float, float, float], opacity: float = 0.3, size: float = 0.1) -> Gaussians:
-    n = len(centers)
-    return Gaussians(
-        np.array(centers, np.float32).reshape(n, 3),
-        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
-        np.full((n, 3), size, np.float32),
-        np.full(n, opacity, np.float32),
-        np.arange(3 * n, dtype=np.float32).reshape(n, 1, 3) / 10,
-    )
+    scene = gaussians_at(np.array(centers), size, opacity=opacity)
+    return replace(scene, sh=np.arange(3 * len(scene), dtype=np.float32).reshape(-1, 1, 3) / 10)
 
 
 def test_two_at_one_place_become_one_of_the_summed_opacity():

@@ -19,7 +19,7 @@ from drsplat.formats.tensors import sealed
 from drsplat.query import Match
 from drsplat.query.catalogue.changes import replace_scene
 from drsplat.query.catalogue.entries import SceneEntry
-from drsplat.query.catalogue.rows import scene_arrays
+from drsplat.query.catalogue.rows import Kept, scene_arrays
 from drsplat.query.catalogue.snapshot import DOCUMENT, Record
 from drsplat.query.sketch import Packed, Sketch
 from drsplat.scene.gaussians import Gaussians
@@ -65,10 +65,9 @@ def add_plain(path: Path, name: str, vectors: np.ndarray, encoder: EncoderIdenti
     numbers = np.repeat(np.arange(count, dtype=np.int32), each)
     sketch = Sketch(features, many, numbers, pictures, words, np.full(count, 40, np.int32), {})
     entry = SceneEntry(name, count, count, datetime(2026, 1, 1, tzinfo=UTC), "f", "", "unknown")
-    arrays = scene_arrays(
-        matches, np.split(vectors, max(count, 1)), encoder.dim, [Record(0, 5, 5, 1.0, None, None, None, None)] * count,
-        [b""] * count, sketch.to_bytes(),
-    )  # fmt: skip
+    record = Record(0, 5, 5, 1.0, None, None, None, None)
+    kept = [Kept(one, own, record, b"") for one, own in zip(matches, np.split(vectors, max(count, 1)), strict=True)]
+    arrays = scene_arrays(kept, encoder.dim, sketch.to_bytes())
     with claimed_output(path, 60.0):
         replace_scene(path, entry, arrays, encoder)
 

@@ -4,14 +4,10 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 import drsplat as ds
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.sources import blocks_of
-from toy_capture import PER_THING, write_toy_capture
+from toy_capture import balls_field, write_toy_capture
 
 ROWS = 37  # of a tile: each ball lies in several
 
@@ -23,15 +19,10 @@ def write_city(folder: Path) -> Path:
     for name in ("scene.ply", "points.ply"):
         (tiled / name).unlink()
     shutil.rmtree(tiled / "frames")
-    gaussians, views = tiles.gaussians(), ds.read_views(tiled / "capture")
-    features = ds.read_features(tiled / "capture/language_features", encoder=ds.WordEncoder().identity)
-    field = ds.register(gaussians, views, features).to_field()
-    node_of = (gaussians.extra["source_row"][field.gaussian_ids] // PER_THING).astype(np.int32)
-    tree = Tree(node_of, np.full(2, -1, np.int32), np.ones(2, np.uint8), np.ones(2, np.float32))
-    field.with_objects(describe(field, gaussians, tree)).save(tiled / "city.field")
+    balls_field(tiled, tiles.gaussians()).save(tiled / "city.field")
     for part in ("sparse", "transforms.json"):
         if (tiled / part).exists():
             shutil.move(tiled / part, tiled / "capture" / part)
     shutil.copytree(tiled, whole, ignore=shutil.ignore_patterns("city.tiles"))
-    ds.write_gaussians(whole / "scene.ply", replace(gaussians, extra={}))
+    ds.write_gaussians(whole / "scene.ply", replace(tiles.gaussians(), extra={}))
     return folder

@@ -12,8 +12,11 @@ from scipy.sparse import csr_array, random_array
 
 from drsplat.field import LanguageField, build_field
 from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
 from drsplat.formats.tensors import TENSORS, map_tensors
 from drsplat.scene.encoders import EncoderIdentity
+from drsplat.scene.gaussians import Gaussians
 
 OFFICIAL_INDEX = Path(__file__).resolve().parents[3] / "shared/data/official/pq_index.faiss"
 TOY = EncoderIdentity("toy", 32, "w0")
@@ -24,6 +27,13 @@ SEED = "rng" if "rng" in signature(random_array).parameters else "random_state" 
 def unit_rows(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
     rows = rng.standard_normal((count, dim)).astype(np.float32)
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def with_flat_objects(field: LanguageField, gaussians: Gaussians, node_of: np.ndarray) -> LanguageField:
+    """Return a field with objects that are no part of each other. node_of: the object of each registered row."""
+    count = int(node_of.max()) + 1
+    sizes = np.full(count, -1, np.int32), np.ones(count, np.uint8), np.ones(count, np.float32)
+    return field.with_objects(describe(field, gaussians, Tree(node_of.astype(np.int32), *sizes)))
 
 
 def random_weights(rng: np.random.Generator, rows: int, columns: int, density: float) -> csr_array:

@@ -1,21 +1,19 @@
 """Small scenes that move, for tests."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from drsplat import Mixture, Scene, View, ViewFeatures, WordEncoder, register
-from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.moving import Frames, Moving
-from scenes import look_at_view, random_gaussians
+from fields import with_flat_objects
+from scenes import gaussians_at, look_at_view, random_gaussians
+from written_captures import model_of, transforms_document, write_json, write_photo
 
 
 def still(gaussians: Gaussians, times: np.ndarray | None = None) -> Moving:
@@ -49,15 +47,12 @@ def passing() -> Moving:
     rng = np.random.default_rng(3)
     car, vase = (rng.uniform(-0.2, 0.2, (100, 3)) + center for center in ((0.0, -1.0, 0.2), (-0.6, 0.05, 0.2)))
     table = rng.uniform((-1, -1.5, -0.2), (1, 1.5, -0.05), (100, 3))
-    means = np.concatenate([car, vase, table]).astype(np.float32)
-    count = len(means)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
-    scales = np.repeat(np.array([0.05, 0.05, 0.15], np.float32), 100)[:, None].repeat(3, 1)
-    gaussians = Gaussians(means, quats, scales, np.full(count, 0.9, np.float32), np.zeros((count, 1, 3), np.float32))
+    scales = np.repeat([0.05, 0.05, 0.15], 100)[:, None]
+    gaussians = gaussians_at(np.concatenate([car, vase, table]), scales)
     stamps = np.linspace(0, 1, STEPS)
 
     def frame(number: int) -> Gaussians:
-        moved = means.copy()
+        moved = gaussians.means.copy()
         moved[:100, 1] += np.float32(2 * stamps[number])
         return replace(gaussians, means=moved)
 
@@ -93,9 +88,7 @@ def passing_scene(objects: bool = False) -> Scene:
     features = label_masks(moving, views, labels, WORDS)
     field = replace(register(moving, views, features), encoder=WordEncoder.identity).to_field(Mixture())
     if objects:
-        node_of = labels[field.gaussian_ids].astype(np.int32)
-        tree = Tree(node_of, np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
-        field = field.with_objects(describe(field, moving.canonical, tree))
+        field = with_flat_objects(field, moving.canonical, labels[field.gaussian_ids])
     return Scene(field, moving, views)
 
 
@@ -113,16 +106,9 @@ def write_film(folder: Path) -> None:
     moving = passing()
     write_moving(folder / "frames", moving)
     views = passing_views(moving)
-    frames = []
     for view in views:
-        path = folder / "capture" / "images" / view.name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.zeros((view.height, view.width, 3), np.uint8)).save(path)
-        pose = np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1])
-        frames.append({"file_path": f"images/{view.name}", "transform_matrix": pose.tolist()})
-    first = views[0]
-    lens = {"w": first.width, "h": first.height, "fl_x": first.K[0, 0], "fl_y": first.K[1, 1]}
-    (folder / "capture/transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+        write_photo(folder / "capture/images" / view.name, view.width, view.height)
+    write_json(folder / "capture/transforms.json", transforms_document(*model_of(views)))
     for name, one in label_masks(moving, views, np.repeat(np.arange(3), 100), WORDS).items():
         stem = str(Path(name).with_suffix(""))
         write_features(folder / "capture/language_features", stem, one.mask_ids, one.embeddings, form="compact")

@@ -14,6 +14,7 @@ from mutations import seeded
 
 Call = Callable[[], object]
 REFUSALS = (ValueError, TypeError, MemoryError)
+FEW = (0, 1, 17, 300)
 COUNTS = (0, 1, 15, 16, 17, 63, 65, 257, 700)
 SIDES = (1, 7, 16, 17, 33, 100)
 NUMBERS = (np.nan, np.inf, -np.inf, -0.0, 3.4e38, -3.4e38, 1e-45, 1e30, -1e10, 65504.0, 2.0**31)
@@ -33,6 +34,21 @@ class Rogue:
     def count(self, *choices: int) -> int:
         return int(self.one(choices))
 
+    def counts(self, *choices: tuple[int, ...]) -> list[int]:
+        return [self.count(*of) for of in choices]
+
+    def starts(self, low: int, high: int, rows: int) -> np.ndarray:
+        """Where each of some rows of a sparse matrix begins, and the last one ends."""
+        return np.append(0, np.cumsum(self.rng.integers(low, high, rows)))
+
+    def edges(self, nodes: int, *counts: int) -> np.ndarray:
+        """Pairs of nodes, the lower one first."""
+        ends = np.sort(self.rng.integers(0, max(nodes, 1), (self.count(*counts), 2)), axis=1).astype("i4")
+        return ends[ends[:, 0] < ends[:, 1]]
+
+    def call(self, function: Callable[..., object], *given: object) -> Call:
+        return partial(function, *given, *self.how())
+
     def isa(self) -> str:
         names = (*_native.available_isas(), "")
         return str(self.one(names) if self.rng.random() < 0.98 else "no such")
@@ -50,7 +66,7 @@ class Rogue:
         if self.rng.random() < 0.75:
             return array
         spoil = self.one((self._numbers, self._numbers, self._numbers, self._shape, self._kind))
-        return spoil(array)
+        return spoil(array.copy())
 
     def _numbers(self, array: np.ndarray) -> np.ndarray:
         if array.size and array.dtype.kind == "f":
@@ -95,37 +111,37 @@ def scene(rogue: Rogue) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
 
 
 def weights(rogue: Rogue) -> Call:
-    width, height = rogue.count(*SIDES), rogue.count(*SIDES)
+    width, height = rogue.counts(SIDES, SIDES)
     masks = rogue.whole(-2, rogue.count(1, 5, 300), (height, width), "i4")
     seen = *scene(rogue), camera(rogue, width, height), masks
-    return partial(_native.view_weights, *seen, rogue.one(LIMITS), rogue.one(LIMITS), *rogue.how())
+    return rogue.call(_native.view_weights, *seen, rogue.one(LIMITS), rogue.one(LIMITS))
 
 
 def contributions(rogue: Rogue) -> Call:
-    width, height = (rogue.count(*SIDES, 0, -1, 65536, 65537), rogue.count(1, 16, 16, 17, 0, -5))
-    topk = rogue.one((1, 2, 3, 16, 40, 0, -1, 2**31))
+    width, height = rogue.counts((*SIDES, 0, -1, 65536, 65537), (1, 16, 16, 17, 33, 0, -5))
+    topk = rogue.one((1, 2, 3, 3, 16, 16, 40, 0, -1, 2**31))
     seen = *scene(rogue), camera(rogue, width, height), width, height
-    return partial(_native.topk_contributions, *seen, topk, rogue.one(LIMITS), *rogue.how())
+    return rogue.call(_native.topk_contributions, *seen, topk, rogue.one(LIMITS))
 
 
 def rendering(rogue: Rogue) -> Call:
-    width, height = rogue.count(*SIDES), rogue.count(*SIDES)
+    width, height = rogue.counts(SIDES, SIDES)
     splats, channels = scene(rogue), rogue.count(0, 1, 3, 4, 16, 17, 33)
     count = len(splats[2]) if isinstance(splats[2], np.ndarray) and splats[2].ndim else 1
     values = rogue.floats(count, channels), rogue.floats(channels)
     seen = *splats, camera(rogue, width, height), width, height
-    return partial(_native.render, *seen, *values, *rogue.how())
+    return rogue.call(_native.render, *seen, *values)
 
 
 def colors(rogue: Rogue) -> Call:
-    n, k = rogue.count(*COUNTS), rogue.count(0, 1, 4, 9, 16, 25)
+    n, k = rogue.counts(COUNTS, (0, 1, 4, 9, 16, 25))
     arrays = rogue.floats(n, k, 3), rogue.floats(n, 3), rogue.floats(3)
-    return partial(_native.sh_colors, *arrays, *rogue.how())
+    return rogue.call(_native.sh_colors, *arrays)
 
 
 def scan(rogue: Rogue) -> Call:
-    n, length = rogue.count(0, 1, 255, 256, 257, 1000), rogue.count(1, 2, 7, 16, 128)
-    queries, coarse = rogue.count(0, 1, 1, 5, 17), rogue.count(0, 1, 3, 1024)
+    n, length = rogue.counts((0, 1, 255, 256, 257, 1000), (1, 2, 7, 16, 128))
+    queries, coarse = rogue.counts((0, 1, 1, 5, 17), (0, 1, 3, 1024))
     codes = rogue.whole(0, 256, (-(-n // 256), length, 256), "u1")
     ids = rogue.whole(0, 65536, (n,), "u2") if coarse else None
     rows = codes, rogue.floats(n), ids
@@ -147,14 +163,14 @@ def _scan_above(floor: np.ndarray | None, *given: tuple) -> object:
 
 
 def look_up_tables(rogue: Rogue) -> Call:
-    length, dim = rogue.count(0, 1, 4, 128), rogue.count(0, 1, 3, 64)
+    length, dim = rogue.counts((0, 1, 4, 128), (0, 1, 3, 64))
     arrays = rogue.floats(length, dim, 256), rogue.floats(rogue.count(0, 1, 5), length * dim)
-    return partial(_native.lookup_tables, *arrays, *rogue.how())
+    return rogue.call(_native.lookup_tables, *arrays)
 
 
 def mixture(rogue: Rogue) -> Call:
-    n, k = rogue.count(0, 1, 63, 64, 65, 1000), rogue.count(0, 1, 2, 4, 16, 17)
-    atoms, dim = rogue.count(0, 1, 5, 300, 5000), rogue.count(1, 3, 16, 33, 512)
+    n, k = rogue.counts((0, 1, 63, 64, 65, 1000), (0, 1, 2, 4, 16, 17))
+    atoms, dim = rogue.counts((0, 1, 5, 300, 5000), (1, 3, 16, 33, 512))
     blocks = -(-n // 64), k, 64
     rows = rogue.whole(0, 65536, blocks, "u2"), rogue.whole(0, 256, blocks, "u1")
     parts = *rows, rogue.whole(0, 65536, (n,), "u2"), *dictionary(rogue, atoms, dim)
@@ -167,7 +183,7 @@ def mixture(rogue: Rogue) -> Call:
             partial(_native.mixture_select, parts, one, 0.1, rogue.one((None, rogue.floats(n)))),
         )
     )
-    return partial(call, *rogue.how())
+    return rogue.call(call)
 
 
 def dictionary(rogue: Rogue, atoms: int, dim: int) -> tuple[np.ndarray, np.ndarray]:
@@ -175,102 +191,102 @@ def dictionary(rogue: Rogue, atoms: int, dim: int) -> tuple[np.ndarray, np.ndarr
 
 
 def encoding(rogue: Rogue) -> Call:
-    n, atoms = rogue.count(0, 1, 17, 200), rogue.count(0, 1, 5, 300)
-    dim, further = rogue.count(1, 3, 6, 16, 512), rogue.count(0, 1, 5, 64, 65)
-    starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, rogue.one((1, 5, 80)), n))])
+    n, atoms = rogue.counts((0, 1, 17, 200), (0, 1, 5, 300))
+    dim, further = rogue.counts((1, 3, 6, 16, 512), (0, 1, 5, 64, 65))
+    starts = rogue.starts(0, rogue.one((1, 5, 80)), n)
     arrays = (
         *dictionary(rogue, atoms, dim),
         rogue.floats(n, dim),
-        rogue.spoiled(starts.astype(np.int64)),
+        rogue.spoiled(starts),
         rogue.whole(0, atoms, (starts[-1],), "i4"),
         rogue.whole(0, atoms, (n, further), "i4"),
     )
-    return partial(_native.mixture_encode, *arrays, rogue.one((0, 1, 4, 6, 16, 17)), *rogue.how())
+    return rogue.call(_native.mixture_encode, *arrays, rogue.one((0, 1, 4, 6, 16, 17)))
 
 
 def neighbours(rogue: Rogue) -> Call:
-    n, dim = rogue.count(0, 1, 17, 500), rogue.count(1, 3, 16, 512)
+    n, dim = rogue.counts((0, 1, 17, 500), (1, 3, 16, 512))
     points = rogue.floats(n, dim)
     if rogue.rng.random() < 0.5:
         centres = rogue.floats(rogue.count(0, 1, 7, 100), dim)
-        return partial(_native.nearest_centres, points, centres, *rogue.how())
-    groups, size = rogue.count(0, 1, 4), rogue.count(0, 1, 5, 64, 70)
+        return rogue.call(_native.nearest_centres, points, centres)
+    groups, size = rogue.counts((0, 1, 4), (0, 1, 5, 64, 70))
     members = rogue.whole(0, groups, (n,), "i4"), rogue.whole(0, 50, (groups, size), "i4")
     given = *dictionary(rogue, 50, dim), points, *members, rogue.one((0, 1, 5, 64, 65))
-    return partial(_native.nearest_members, *given, *rogue.how())
+    return rogue.call(_native.nearest_members, *given)
 
 
 def rows(rogue: Rogue) -> Call:
-    n, m, dim = (rogue.count(0, 1, 17, 300), rogue.count(0, 1, 50), rogue.count(0, 1, 33, 512))
-    starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 9, n))])
+    n, m, dim = rogue.counts(FEW, (0, 1, 50), (0, 1, 33, 512))
+    starts = rogue.starts(0, 9, n)
     entries = rogue.whole(0, m, (starts[-1],), "i4"), rogue.floats(starts[-1])
-    given = rogue.spoiled(starts.astype(np.int64)), *entries, rogue.floats(m, dim)
-    return partial(_native.weighted_rows, *given, *rogue.how())
+    given = rogue.spoiled(starts), *entries, rogue.floats(m, dim)
+    return rogue.call(_native.weighted_rows, *given)
 
 
 def dense(rogue: Rogue) -> Call:
-    n, k, m = (rogue.count(0, 1, 17, 300), rogue.count(0, 1, 33), rogue.count(0, 16, 32, 33))
-    return partial(_native.dense_rows, rogue.floats(n, k), rogue.floats(k, m), *rogue.how())
+    n, k, m = rogue.counts(FEW, (0, 1, 33), (0, 16, 32, 33))
+    return rogue.call(_native.dense_rows, rogue.floats(n, k), rogue.floats(k, m))
 
 
 def keeping(rogue: Rogue) -> Call:
-    n, kept, more = (rogue.count(0, 1, 17, 300), rogue.count(1, 9, 256, 257, 0), rogue.count(0, 1, 8))
+    n, kept, more = rogue.counts(FEW, (1, 9, 256, 257, 0), (0, 1, 8))
     given = rogue.floats(kept, n), rogue.whole(0, 9, (kept, n), "u2"), rogue.floats(more, n)
-    return partial(_native.keep_best, *given, rogue.one((0, 8, 65535, 65536, 2**63, -1)), *rogue.how())
+    return rogue.call(_native.keep_best, *given, rogue.one((0, 8, 65535, 65536, 2**63, -1)))
 
 
 def convolution(rogue: Rogue) -> Call:
-    n, side, c, o = (rogue.count(*sizes) for sizes in ((0, 1, 5), (0, 1, 9), (0, 1, 3), (0, 16, 32, 48, 33)))
+    n, side, c, o = rogue.counts((0, 1, 5), (0, 1, 9), (0, 1, 3), (0, 16, 32, 48, 33))
     images = rogue.floats(n, side, rogue.count(0, 1, 9), c)
     stride = rogue.count(1, 1, 2, 3, 2**31 - 1, 0, -1)
-    return partial(_native.convolve, images, rogue.floats(9 * c, o), rogue.floats(o), stride, *rogue.how())
+    return rogue.call(_native.convolve, images, rogue.floats(9 * c, o), rogue.floats(o), stride)
 
 
 def sums_of_codes(rogue: Rogue) -> Call:
-    n, parts, dim = rogue.count(0, 1, 17, 300), rogue.count(0, 1, 17), rogue.count(0, 1, 4)
+    n, parts, dim = rogue.counts(FEW, (0, 1, 17), (0, 1, 4))
     codes = rogue.whole(0, 256, (n, parts), "u1")
     return partial(_native.code_sums, rogue.floats(n, parts * dim), codes, rogue.how()[0])
 
 
 def labels(rogue: Rogue) -> Call:
-    h, w, n = (rogue.count(*sizes) for sizes in ((0, 1, 17, 70), (0, 1, 17, 70), (1, 17, 70)))
+    h, w, n = rogue.counts((0, 1, 17, 70), (0, 1, 17, 70), (1, 17, 70))
     ids = rogue.whole(-1, n, (h, w, 8), "i4")
     return partial(_native.heaviest_labels, ids, rogue.floats(h, w, 8), rogue.whole(-1, 9, (n,), "i4"), rogue.how()[0])
 
 
 def columns(rogue: Rogue) -> Call:
-    n, m = (rogue.count(0, 1, 17, 300) for _ in range(2))
+    n, m = rogue.counts(FEW, FEW)
     matrices = []
     for _ in range(2):
-        starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 9, n))])
+        starts = rogue.starts(0, 9, n)
         entries = rogue.whole(0, m, (starts[-1],), "i4"), rogue.floats(starts[-1])
-        matrices.append((rogue.spoiled(starts.astype(np.int64)), *entries))
+        matrices.append((rogue.spoiled(starts), *entries))
     numbers = rogue.whole(-2, 2 * m, (m,), "i4")
     return partial(_native.changed_columns, *matrices[0], numbers, *matrices[1], rogue.how()[0])
 
 
 def boxes(rogue: Rogue) -> Call:
-    n, sets = rogue.count(0, 1, 17, 300), rogue.count(0, 1, 5)
-    starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(rogue.one((0, 1)), 9, sets))])
+    n, sets = rogue.counts(FEW, (0, 1, 5))
+    starts = rogue.starts(rogue.one((0, 1)), 9, sets)
     solids = rogue.floats(n, 3), rogue.floats(n, 4), rogue.floats(n, 3), rogue.floats(n)
-    members = rogue.spoiled(starts.astype(np.int64)), rogue.whole(0, n, (starts[-1],), "i8")
+    members = rogue.spoiled(starts), rogue.whole(0, n, (starts[-1],), "i8")
     up = rogue.one((None, np.array([0, 0.6, 0.8]), np.zeros(3), np.zeros(2), np.full(3, np.nan)))
     rule = [rogue.one((0.003, 0.0, np.nan, 2.0)) for _ in range(3)]
     return partial(_native.boxes, *solids, *members, up, *rule, rogue.how()[0])
 
 
 def merges(rogue: Rogue) -> Call:
-    n, m, dim = (rogue.count(0, 1, 17, 300), rogue.count(0, 1, 50), rogue.count(0, 1, 6))
-    starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 4 if m else 1, n))])
+    n, m, dim = rogue.counts(FEW, (0, 1, 50), (0, 1, 6))
+    starts = rogue.starts(0, 4 if m else 1, n)
     columns = np.concatenate([np.arange(k) for k in np.diff(starts)], dtype="i4") if n else np.zeros(0, "i4")
-    votes = rogue.spoiled(starts.astype(np.int64)), rogue.spoiled(columns), rogue.floats(starts[-1])
-    edges = np.sort(rogue.rng.integers(0, max(n, 1), (rogue.count(0, 1, 500), 2)), axis=1).astype("i4")
+    votes = rogue.spoiled(starts), rogue.spoiled(columns), rogue.floats(starts[-1])
+    edges = rogue.edges(n, 0, 1, 500)
     given = (
         rogue.spoiled(rogue.rng.permutation(n)),
         *votes,
         np.arange(m, dtype="i4") // 7,
         rogue.floats(m, dim),
-        rogue.spoiled(edges[edges[:, 0] < edges[:, 1]]),
+        rogue.spoiled(edges),
         np.array([0.9, 0.5, 0.1]),
     )
     rule = rogue.spoiled(np.array([0.5, 2, 0.15, 0.5, 0.3, 0.15, 0.7, 0.02, 2, 3, 0.5]))
@@ -278,7 +294,7 @@ def merges(rogue: Rogue) -> Call:
 
 
 def photos(rogue: Rogue) -> Call:
-    height, width = rogue.count(0, 1, 2, 33), rogue.count(1, 5, 40)
+    height, width = rogue.counts((0, 1, 2, 33), (1, 5, 40))
     if rogue.rng.random() < 0.5:
         image = rogue.whole(0, 256, (height, width, rogue.count(3, 3, 3, 2)), "u1")
         widths = [12, *(rogue.count(1, 5, 16) for _ in range(7))]
@@ -296,9 +312,8 @@ def photos(rogue: Rogue) -> Call:
 
 
 def things(rogue: Rogue) -> Call:
-    n, units = rogue.count(0, 1, 2, 20, 60), rogue.count(0, 1, 8, 9, 56)
-    ends = np.sort(rogue.rng.integers(0, max(n, 1), (rogue.count(0, 1, 50, 200), 2)), axis=1)
-    pairs = np.unique(ends[ends[:, 0] < ends[:, 1]], axis=0).astype("i4")
+    n, units = rogue.counts((0, 1, 2, 20, 60), (0, 1, 8, 9, 56))
+    pairs = np.unique(rogue.edges(n, 0, 1, 50, 200), axis=0)
     sums = rogue.rng.integers(0, rogue.one((1, 2, 300)), (n, 55)).astype(float)
     borders = rogue.rng.integers(0, rogue.one((2, 90)), (len(pairs), 5)).astype(float)
     boxes = rogue.rng.integers(-9, 9, (n, 4)).astype(float)
@@ -312,14 +327,14 @@ def things(rogue: Rogue) -> Call:
 
 
 def codes(rogue: Rogue) -> Call:
-    n, length, dim = (rogue.count(0, 1, 17, 300), rogue.count(0, 1, 4, 128), rogue.count(0, 1, 3, 64))
+    n, length, dim = rogue.counts(FEW, (0, 1, 4, 128), (0, 1, 3, 64))
     given = rogue.floats(n, length * dim), rogue.floats(length, 256, dim)
-    return partial(_native.pq_encode, *given, *rogue.how())
+    return rogue.call(_native.pq_encode, *given)
 
 
 def training(rogue: Rogue) -> Call:
-    n, k = rogue.count(0, 1, 15, 16, 17, 300), rogue.count(1, 4, 9, 16)
-    width, height = rogue.count(*SIDES), rogue.count(*SIDES)
+    n, k = rogue.counts((0, 1, 15, 16, 17, 300), (1, 4, 9, 16))
+    width, height = rogue.counts(SIDES, SIDES)
     means = rogue.rng.standard_normal((n, 3)).astype(np.float32) + np.float32([0, 0, 3])
     scales = rogue.rng.uniform(-5, 1, (n, 3)).astype(np.float32)
     scene = rogue.spoiled(means), rogue.spoiled(scales), rogue.floats(n, 4), rogue.floats(n)
@@ -346,9 +361,9 @@ def training(rogue: Rogue) -> Call:
 
 
 def loss(rogue: Rogue) -> Call:
-    width, height = rogue.count(0, 1, 5, 16, 17, 100), rogue.count(0, 1, 5, 11, 33)
+    width, height = rogue.counts((0, 1, 5, 16, 17, 100), (0, 1, 5, 11, 33))
     images = rogue.floats(height, width, 3), rogue.floats(height, width, 3)
-    return partial(_native.photometric_loss, *images, rogue.one((0.2, 1.0, np.nan)), *rogue.how())
+    return rogue.call(_native.photometric_loss, *images, rogue.one((0.2, 1.0, np.nan)))
 
 
 def optimizer(rogue: Rogue) -> Call:
@@ -356,43 +371,14 @@ def optimizer(rogue: Rogue) -> Call:
     arrays = [rogue.floats(n) for _ in range(4)]
     step, row = rogue.one((1, 100, 0, -1, 2**62)), rogue.one((0, 3, 12, 48, 1, 2**28, 2**32 - 1))
     rates = 1e-3, step, 0.9, 0.999, 1e-15, 1e-3, row
-    return partial(_native.adam_step, *arrays, *rates, *rogue.how())
+    return rogue.call(_native.adam_step, *arrays, *rates)
 
 
+TWICE = weights, contributions, scan, mixture, encoding, photos, things, training
 FAMILIES = (
-    weights,
-    weights,
-    contributions,
-    contributions,
-    rendering,
-    colors,
-    scan,
-    scan,
-    look_up_tables,
-    mixture,
-    mixture,
-    encoding,
-    encoding,
-    neighbours,
-    rows,
-    dense,
-    keeping,
-    convolution,
-    sums_of_codes,
-    labels,
-    boxes,
-    columns,
-    merges,
-    photos,
-    photos,
-    things,
-    things,
-    codes,
-    training,
-    training,
-    loss,
-    optimizer,
-)
+    *TWICE, *TWICE, rendering, colors, look_up_tables, neighbours, rows, dense, keeping, convolution, sums_of_codes,
+    labels, boxes, columns, merges, codes, loss, optimizer,
+)  # fmt: skip
 
 
 def refused_or_answered(seed: int) -> tuple[str, bool]:

@@ -11,9 +11,10 @@ import zstandard
 from PIL import Image
 
 from drsplat.scene.gaussians import Gaussians
+from twins.registering import sh_basis
 
 C0 = 0.5 / np.sqrt(np.pi)
-PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint", "i2": "short"}
+PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint", "i2": "short", "u2": "ushort"}
 
 
 def random_gaussians(rng: np.random.Generator, n: int = 24, degree: int = 3) -> Gaussians:
@@ -52,156 +53,138 @@ def commented(content: bytes, *comments: str) -> bytes:
 
 def ply_bytes(columns: dict[str, np.ndarray], order: str = "<", before: bytes = b"", before_header: str = "") -> bytes:
     """PLY, binary ("<", ">") or ASCII ("a"), of the element vertex, behind others if given."""
-    n = len(next(iter(columns.values())))
     names = {"<": "binary_little_endian", ">": "binary_big_endian", "a": "ascii"}
-    lines = ["ply", f"format {names[order]} 1.0", "comment made for a test", *before_header.split("\n")]
-    lines += [f"element vertex {n}"]
+    types = [(name, c.dtype.newbyteorder("<" if order == "a" else order)) for name, c in columns.items()]
+    rows = np.rec.fromarrays(list(columns.values()), types)
+    lines = [
+        "ply",
+        f"format {names[order]} 1.0",
+        "comment made for a test",
+        before_header,
+        f"element vertex {len(rows)}",
+    ]
     lines += [f"property {PLY_NAMES[c.dtype.str[1:]]} {name}" for name, c in columns.items()]
     head = "\n".join([line for line in lines if line] + ["end_header", ""]).encode() + before
-    if order == "a":
-        rows = zip(*(c.tolist() for c in columns.values()), strict=True)
-        return head + "".join(" ".join(map(repr, row)) + "\n" for row in rows).encode()
-    row_format = order + "".join(c.dtype.char for c in columns.values())
-    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
-    return head + b"".join(struct.pack(row_format, *row) for row in rows)
+    text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+    return head + (text.encode() if order == "a" else rows.tobytes())
+
+
+def as_rows(*columns: np.ndarray) -> bytes:
+    """Columns of any kinds of numbers, row by row."""
+    return np.hstack([np.ascontiguousarray(column).view("u1") for column in columns]).tobytes()
+
+
+def in_bytes(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(values), 0, 255).astype("u1")
+
+
+def smallest_three(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which number of each rotation is the largest, and the other three where that is positive."""
+    largest = np.abs(quats).argmax(1)
+    signed = quats * np.sign(np.take_along_axis(quats, largest[:, None], 1))
+    return largest, signed[np.arange(4) != largest[:, None]].reshape(-1, 3).astype(np.float64)
+
+
+def packed(unit: np.ndarray, *bits: int) -> np.ndarray:
+    """Fractions in a word of each row, the first column in its highest bits."""
+    words = np.zeros(len(unit), np.int64)
+    for column, width in zip(unit.T.astype(np.float64), bits, strict=True):
+        words = words << width | np.rint(column * (2**width - 1)).astype(np.int64)
+    return words
 
 
 def compressed_ply_bytes(g: Gaussians) -> bytes:
-    """SuperSplat's layout, one Gaussian at a time."""
-    log_scales, colours = np.log(g.scales), g.sh[:, 0] * C0 + 0.5
-    chunks, vertices = io.BytesIO(), io.BytesIO()
+    """SuperSplat's layout."""
+    chunks, vertices = [], []
     for start in range(0, len(g), 256):
         rows = slice(start, start + 256)
-        bounds = [(v[rows].min(0), v[rows].max(0)) for v in (g.means, log_scales, colours)]
-        chunks.write(np.concatenate([end for pair in bounds for end in pair]).astype("<f4").tobytes())
-        for i in range(*rows.indices(len(g))):
-            unit = [
-                (v[i] - low) / np.where(high > low, high - low, 1)
-                for v, (low, high) in zip((g.means, log_scales, colours), bounds, strict=True)
-            ]
-            words = (_pack(unit[0], (11, 10, 11)), _pack_rotation(g.quats[i]), _pack(unit[1], (11, 10, 11)))
-            rgba = _pack((*unit[2], g.opacities[i]), (8, 8, 8, 8))
-            vertices.write(struct.pack("<4I", *words, rgba))
-    axes, k = ("x", "y", "z"), g.sh.shape[1]
-    chunk_names = [f"{end}_{s}{a}" for s in ("", "scale_") for end in ("min", "max") for a in axes]
-    chunk_names += [f"{end}_{a}" for end in ("min", "max") for a in "rgb"]
+        values = g.means[rows], np.log(g.scales[rows]), g.sh[rows, 0] * C0 + 0.5
+        bounds = [(v.min(0), v.max(0)) for v in values]
+        chunks += [end for pair in bounds for end in pair]
+        place, size, colour = (
+            (v - low) / np.where(high > low, high - low, 1) for v, (low, high) in zip(values, bounds, strict=True)
+        )
+        largest, three = smallest_three(g.quats[rows])
+        rotation = largest << 30 | packed(three / np.sqrt(2) + 0.5, 10, 10, 10)
+        rgba = packed(np.column_stack([colour, g.opacities[rows]]), 8, 8, 8, 8)
+        vertices.append(np.stack([packed(place, 11, 10, 11), rotation, packed(size, 11, 10, 11), rgba], 1))
+    names = [f"{end}_{s}{a}" for s in ("", "scale_") for end in ("min", "max") for a in "xyz"]
+    names += [f"{end}_{a}" for end in ("min", "max") for a in "rgb"]
     lines = ["ply", "format binary_little_endian 1.0", f"element chunk {-(-len(g) // 256)}"]
-    lines += [f"property float {name}" for name in chunk_names] + [f"element vertex {len(g)}"]
+    lines += [f"property float {name}" for name in names] + [f"element vertex {len(g)}"]
     lines += [f"property uint packed_{what}" for what in ("position", "rotation", "scale", "color")]
     rest = g.sh[:, 1:].transpose(0, 2, 1).reshape(len(g), -1)
-    if k > 1:
-        lines += [f"element sh {len(g)}", *(f"property uchar f_rest_{i}" for i in range(3 * (k - 1)))]
-    sh = np.clip(np.trunc((rest / 8 + 0.5) * 256), 0, 255).astype(np.uint8)
+    if rest.size:
+        lines += [f"element sh {len(g)}", *(f"property uchar f_rest_{i}" for i in range(rest.shape[1]))]
+    sh = np.clip(np.trunc((rest / 8 + 0.5) * 256), 0, 255).astype("u1")
     head = "\n".join([*lines, "end_header", ""]).encode()
-    return head + chunks.getvalue() + vertices.getvalue() + sh.tobytes()
+    return head + np.float32(chunks).tobytes() + np.concatenate(vertices).astype("<u4").tobytes() + sh.tobytes()
 
 
-def _pack(unit: np.ndarray | tuple, bits: tuple[int, ...]) -> int:
-    word = 0
-    for value, width in zip(unit, bits, strict=True):
-        word = word << width | round(float(value) * (2**width - 1))
-    return word
-
-
-def _pack_rotation(quat: np.ndarray) -> int:
-    largest = int(np.abs(quat).argmax())
-    signed = quat * np.sign(quat[largest])
-    return largest << 30 | _pack(np.delete(signed, largest) / np.sqrt(2) + 0.5, (10, 10, 10))
+def colours_of(g: Gaussians) -> np.ndarray:
+    """Red, green, blue and opacity in bytes."""
+    return in_bytes(np.column_stack([g.sh[:, 0] * C0 + 0.5, g.opacities]) * 255)
 
 
 def splat_bytes(g: Gaussians) -> bytes:
-    colour = np.clip(np.column_stack([g.sh[:, 0] * C0 + 0.5, g.opacities]) * 255, 0, 255).round()
-    quats = np.clip(g.quats * 128 + 128, 0, 255).round()
-    return b"".join(
-        struct.pack("<6f4B4B", *g.means[i], *g.scales[i], *map(int, colour[i]), *map(int, quats[i]))
-        for i in range(len(g))
-    )
+    return as_rows(g.means, g.scales, colours_of(g), in_bytes(g.quats * 128 + 128))
 
 
 def ksplat_bytes(parts: list[Gaussians], level: int, bucket: int = 8) -> bytes:
     """A section for each part, rows in their order; of a part's last rows buckets of at most three."""
     further = [c for g in parts for c in g.sh[:, 1:].ravel().tolist()] or [0]
-    bounds = min(further), max(further)
-    head = bytearray(4096 + 1024 * len(parts))
+    head, bodies = bytearray(4096 + 1024 * len(parts)), []
     count = sum(map(len, parts))
     struct.pack_into("<4B4IH", head, 0, 0, 1, 0, 0, len(parts), len(parts), count, count, level)
-    struct.pack_into("<5f", head, 24, 7, 8, 9, *bounds)
-    bodies = []
+    struct.pack_into("<5f", head, 24, 7, 8, 9, min(further), max(further))
     for i, g in enumerate(parts):
-        full = len(g) // bucket if level else 0
-        rest = [min(3, len(g) - k) for k in range(full * bucket, len(g), 3)] if level else []
-        sizes = [bucket] * full + rest
-        starts = np.cumsum([0, *sizes])[:-1]
-        centres = [g.means[a : a + k].mean(0).astype("<f4") for a, k in zip(starts, sizes, strict=True)]
-        of_row = [centre for centre, k in zip(centres, sizes, strict=True) for _ in range(k)]
-        offsets = g.means - np.array(of_row).reshape(-1, 3) if level else np.zeros((1, 3))
-        side = 2 * float(np.abs(offsets).max(initial=1e-3))
-        rows = [_ksplat_row(g, j, level, (of_row[j], side) if level else None, bounds) for j in range(len(g))]
-        body = b"".join(struct.pack("<I", k) for k in rest) + b"".join(c.tobytes() for c in centres)
-        bodies.append(body + b"".join(rows))
-        at = 4096 + 1024 * i
-        struct.pack_into("<2I", head, at, len(g), len(g))
+        at, n, number = 4096 + 1024 * i, len(g), "<f2" if level else "<f4"
+        struct.pack_into("<2I", head, at, n, n)
         struct.pack_into("<H", head, at + 40, g.sh_degree)
-        if level:
-            struct.pack_into("<2IfH", head, at + 8, bucket, len(sizes), side, 12)
-            struct.pack_into("<4I", head, at + 24, 32767, len(bodies[-1]), full, len(rest))
+        degrees = [g.sh[:, a * a : (a + 1) ** 2].transpose(0, 2, 1).reshape(n, -1) for a in range(1, g.sh_degree + 1)]
+        rest = np.hstack([np.empty((n, 0)), *degrees])
+        if level == 2:
+            coded = in_bytes((rest - min(further)) / (max(further) - min(further)) * 255)
+        else:
+            coded = rest.astype(number)
+        shape = g.scales.astype(number), g.quats.astype(number), colours_of(g), coded
+        if not level:
+            bodies.append(as_rows(g.means, *shape))
+            continue
+        full = n // bucket
+        last = [min(3, n - k) for k in range(full * bucket, n, 3)]
+        owner = np.repeat(np.arange(full + len(last)), [bucket] * full + last)
+        centres = np.array([g.means[owner == k].mean(0) for k in range(full + len(last))], "<f4").reshape(-1, 3)
+        offsets = g.means.astype(float) - centres[owner]
+        side = 2 * float(np.abs(offsets).max(initial=1e-3))
+        places = np.rint(offsets / (side / 2) * 32767 + 32767).astype("<u2")
+        bodies.append(np.array(last, "<u4").tobytes() + centres.tobytes() + as_rows(places, *shape))
+        struct.pack_into("<2IfH", head, at + 8, bucket, full + len(last), side, 12)
+        struct.pack_into("<4I", head, at + 24, 32767, len(bodies[-1]), full, len(last))
     return bytes(head) + b"".join(bodies)
-
-
-def _ksplat_row(
-    g: Gaussians, i: int, level: int, place: tuple[np.ndarray, float] | None, bounds: tuple[float, float]
-) -> bytes:
-    number = "e" if level else "f"
-    if place is None:
-        where = struct.pack("<3f", *g.means[i])
-    else:
-        centre, side = place
-        steps = (g.means[i].astype(np.float64) - centre) / (side / 2) * 32767
-        where = struct.pack("<3H", *(round(float(s)) + 32767 for s in steps))
-    shape = struct.pack(f"<7{number}", *g.scales[i], *g.quats[i])
-    colour = np.clip(np.append(g.sh[i, 0] * C0 + 0.5, g.opacities[i]) * 255, 0, 255).round()
-    ends = [(a * a, (a + 1) * (a + 1)) for a in range(1, g.sh_degree + 1)]
-    rest = [float(g.sh[i, k, rgb]) for a, b in ends for rgb in range(3) for k in range(a, b)]
-    if level == 2:
-        low, high = bounds
-        coded = bytes(round((c - low) / (high - low) * 255) for c in rest)
-    else:
-        coded = struct.pack(f"<{len(rest)}{number}", *rest)
-    return where + shape + bytes(map(int, colour)) + coded
 
 
 def spz_planes(g: Gaussians, version: int) -> list[bytes]:
     """Attribute planes of Gaussians whose axes are RUB already."""
-    fixed = (g.means.astype(np.float64) * 4096).round().astype(int).ravel().tolist()
-    positions = b"".join(value.to_bytes(3, "little", signed=True) for value in fixed)
-    planes = [g.opacities * 255, g.sh[:, 0] * 0.15 * 255 + 127.5, (np.log(g.scales) + 10) * 16]
-    coded = [np.clip(p.round(), 0, 255).astype(np.uint8).tobytes() for p in planes]
-    rotation = _first_three if version == 2 else _smallest_three
-    rest = np.clip((g.sh[:, 1:] * 128 + 128).round(), 0, 255).astype(np.uint8).tobytes()
-    return [positions, *coded, b"".join(rotation(q) for q in g.quats), rest]
-
-
-def _first_three(quat: np.ndarray) -> bytes:
-    _, *xyz = quat * (1 if quat[0] >= 0 else -1)
-    return bytes(round(float(c) * 127.5 + 127.5) for c in xyz)
-
-
-def _smallest_three(quat: np.ndarray) -> bytes:
-    xyzw = np.roll(quat, -1)
-    largest = int(np.abs(xyzw).argmax())
-    xyzw = xyzw * np.sign(xyzw[largest])
-    word = largest
-    for i in range(4):
-        if i != largest:
-            magnitude = round(abs(float(xyzw[i])) * np.sqrt(2) * 511)
-            word = word << 10 | int(xyzw[i] < 0) << 9 | magnitude
-    return struct.pack("<I", word)
+    fixed = np.rint(g.means.astype(np.float64) * 4096).astype("<i4")
+    positions = fixed.reshape(-1, 1).view("u1")[:, :3]  # 24 bits
+    if version == 2:
+        signed = g.quats * np.where(g.quats[:, :1] >= 0, 1, -1)
+        rotations = in_bytes(signed[:, 1:].astype(np.float64) * 127.5 + 127.5)
+    else:
+        rotations, three = smallest_three(np.roll(g.quats, -1, axis=1))
+        for column in three.T:
+            magnitude = np.rint(np.abs(column) * np.sqrt(2) * 511).astype(int)
+            rotations = rotations << 10 | (column < 0) << 9 | magnitude
+        rotations = rotations.astype("<u4")
+    levels = g.opacities * 255, g.sh[:, 0] * 0.15 * 255 + 127.5, (np.log(g.scales) + 10) * 16
+    rest = in_bytes(g.sh[:, 1:] * 128 + 128)
+    return [plane.tobytes() for plane in (positions, *map(in_bytes, levels), rotations, rest)]
 
 
 def spz_bytes(g: Gaussians, version: int, flags: int = 0, extensions: bytes = b"") -> bytes:
-    degree = g.sh_degree
     planes = spz_planes(g, version)
-    head = struct.pack("<4sIIBBB", b"NGSP", version, len(g), degree, 12, flags)
+    head = struct.pack("<4sIIBBB", b"NGSP", version, len(g), g.sh_degree, 12, flags)
     if version < 4:
         return gzip.compress(head + b"\0" + b"".join(planes) + extensions, mtime=0)
     return head + v4_body([p for p in planes if p], extensions)
@@ -228,31 +211,6 @@ def turned(g: Gaussians, signs: tuple[int, int, int] = (1, -1, -1)) -> Gaussians
     return Gaussians(g.means * s, g.quats * turn, g.scales, g.opacities, g.sh * flips, g.extra)
 
 
-def sh_basis(d: np.ndarray) -> np.ndarray:
-    """Real spherical harmonics up to factors, in the order of 3DGS, at directions (n, 3)."""
-    x, y, z = d.T
-    xx, yy, zz = x * x, y * y, z * z
-    columns = [
-        np.ones_like(x),
-        y,
-        z,
-        x,
-        x * y,
-        y * z,
-        2 * zz - xx - yy,
-        x * z,
-        xx - yy,
-        y * (3 * xx - yy),
-        x * y * z,
-        y * (4 * zz - xx - yy),
-        z * (2 * zz - 3 * xx - 3 * yy),
-        x * (4 * zz - xx - yy),
-        z * (xx - yy),
-        x * (xx - 3 * yy),
-    ]
-    return np.stack(columns, 1)
-
-
 def webp_bytes(pixels: np.ndarray, lossless: bool = True) -> bytes:
     out = io.BytesIO()
     Image.fromarray(pixels.astype(np.uint8), "RGBA").save(out, "WEBP", lossless=lossless, exact=True)
@@ -273,66 +231,46 @@ def sog_files(g: Gaussians, version: int = 2) -> dict[str, bytes]:
     logs = np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64)))
     low, high = logs.min(0), logs.max(0)
     steps = np.rint((logs - low) / np.where(high > low, high - low, 1) * 65535).astype(int)
-    largest = np.abs(g.quats).argmax(1)
-    signs = np.sign(g.quats[np.arange(n), largest])[:, None]
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    three = np.take_along_axis(g.quats * signs, others, 1)
-    turned = np.rint((three * 2**0.5 + 1) * 127.5)
-    linear = {
-        "scales": np.log(g.scales),
-        "sh0": g.sh[:, 0],
-        "shN": g.sh[:, 1:],
-        "opacity": np.log(g.opacities / (1 - g.opacities)),
-    }
-    ends = {name: (v.min(initial=9), v.max(initial=-9)) for name, v in linear.items()}
+    largest, three = smallest_three(g.quats)
+    linear = {"scales": np.log(g.scales), "sh0": g.sh[:, 0], "shN": g.sh[:, 1:]}
+    linear["opacity"] = np.log(g.opacities / (1 - g.opacities))
+    ends = {name: (float(v.min(initial=9)), float(v.max(initial=-9))) for name, v in linear.items()}
     codes = {k: np.rint((v - ends[k][0]) / (ends[k][1] - ends[k][0]) * 255) for k, v in linear.items()}
     opacity = codes["opacity"] if version == 1 else np.rint(g.opacities * 255)
-    files = {
-        "means_l.webp": sog_plane(steps & 255),
-        "means_u.webp": sog_plane(steps >> 8),
-        "quats.webp": sog_plane(np.column_stack([turned, 252 + largest])),
-        "scales.webp": sog_plane(codes["scales"]),
-        "sh0.webp": sog_plane(np.column_stack([codes["sh0"], opacity])),
+    planes = {
+        "means_l": steps & 255,
+        "means_u": steps >> 8,
+        "quats": np.column_stack([np.rint((three * 2**0.5 + 1) * 127.5), 252 + largest]),
+        "scales": codes["scales"],
+        "sh0": np.column_stack([codes["sh0"], opacity]),
     }
 
-    def coded(name: str, size: int) -> dict[str, object]:
-        a, b = (float(end) for end in ends[name])
+    def coded(name: str, *channels: str) -> dict[str, object]:
         if version == 2:
-            return {"codebook": [a + (b - a) * k / 255 for k in range(256)]}
-        last = [float(end) for end in ends["opacity"]] if size == 4 else ()
-        spread = [[end] * min(size, 3) + list(last[k : k + 1]) for k, end in enumerate((a, b))]
-        return dict(zip(("mins", "maxs"), (spread if size else (a, b)), strict=True))
+            return {"codebook": np.linspace(*ends[name], 256).tolist()}
+        spread = [[ends[one][k] for one in channels] if channels else ends[name][k] for k in (0, 1)]
+        return dict(zip(("mins", "maxs"), spread, strict=True))
 
-    meta: dict[str, object] = {
-        "means": {
-            "shape": [n, 3],
-            "mins": low.tolist(),
-            "maxs": high.tolist(),
-            "files": ["means_l.webp", "means_u.webp"],
-        },
-        "scales": {**coded("scales", 3), "files": ["scales.webp"]},
-        "quats": {"files": ["quats.webp"]},
-        "sh0": {**coded("sh0", 4), "files": ["sh0.webp"]},
+    meta: dict[str, object] = {"version": 2, "count": n} if version == 2 else {}
+    meta |= {
+        "means": {"shape": [n, 3], "mins": low.tolist(), "maxs": high.tolist()},
+        "scales": coded("scales", "scales", "scales", "scales"),
+        "quats": {},
+        "sh0": coded("sh0", "sh0", "sh0", "sh0", "opacity"),
     }
-    if version == 2:
-        meta |= {"version": 2, "count": n}
+    files = {}
     if coefficients:  # a palette in which every Gaussian has its own entry, in reverse
-        rows = -(-n // 64)
-        palette = np.zeros((rows, 64 * coefficients, 4))
-        palette[..., 3] = 255
-        for i in range(n):
-            row, column = divmod(n - 1 - i, 64)
-            for c in range(coefficients):
-                palette[row, column * coefficients + c, :3] = codes["shN"][i, c]
+        palette = np.full((-(-n // 64) * 64, coefficients, 4), 255)
+        palette[:n, :, :3] = codes["shN"][::-1]
+        files["shN_centroids.webp"] = webp_bytes(palette.reshape(-1, 64 * coefficients, 4))
         labels = np.arange(n)[::-1]
-        files["shN_centroids.webp"] = webp_bytes(palette)
-        files["shN_labels.webp"] = sog_plane(np.column_stack([labels & 255, labels >> 8]))
-        bands = {3: 1, 8: 2, 15: 3}[coefficients]
-        meta["shN"] = {
-            **coded("shN", 0),
-            "files": ["shN_centroids.webp", "shN_labels.webp"],
-            **({"count": n, "bands": bands} if version == 2 else {}),
-        }
+        planes["shN_labels"] = np.column_stack([labels & 255, labels >> 8])
+        counts = {"count": n, "bands": g.sh_degree} if version == 2 else {}
+        meta["shN"] = coded("shN") | counts
+    files |= {f"{name}.webp": sog_plane(plane) for name, plane in planes.items()}
+    for name, described in meta.items():
+        if isinstance(described, dict):
+            described["files"] = sorted(file for file in files if file.startswith(name))
     return {"meta.json": json.dumps(meta).encode(), **files}
 
 

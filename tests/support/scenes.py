@@ -4,10 +4,13 @@ Cameras hold float32 numbers only, so that a float32 kernel and its float64 twin
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
+from world.cameras import look_at
 
-from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.gaussians import SH_C0, Gaussians
 from drsplat.scene.views import View
 
 
@@ -30,6 +33,18 @@ def random_gaussians(
     return Gaussians(*(column.astype(np.float32) for column in columns))
 
 
+def gaussians_at(
+    means: np.ndarray, size: ArrayLike = 0.012, color: ArrayLike = (0.5, 0.5, 0.5),
+    opacity: float = 0.9,
+) -> Gaussians:  # fmt: skip
+    """Gaussians of one look at some places, along the world's axes. size: of every axis, or of each. color: RGB."""
+    count = len(means)
+    parts = ([1, 0, 0, 0], 4), (size, 3), (opacity, None), ((np.array(color) - 0.5) / SH_C0, 3)
+    quats, scales, opacities, sh = (np.broadcast_to(part, (count, width) if width else count) for part, width in parts)
+    columns = np.reshape(means, (count, 3)), quats, scales, opacities, sh[:, None]
+    return Gaussians(*(np.array(column, np.float32) for column in columns))
+
+
 def look_at_view(
     eye: Sequence[float],
     target: Sequence[float] = (0.0, 0.0, 0.0),
@@ -40,18 +55,10 @@ def look_at_view(
     principal: tuple[float, float] | None = None,
 ) -> View:
     """A camera at `eye` that looks at `target`, world +z up; fov is horizontal."""
-    forward = np.subtract(target, eye)
-    forward = forward / np.linalg.norm(forward)
-    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.99 else (0.0, 1.0, 0.0)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
-    center = principal or (width / 2, height / 2)
-    intrinsics = np.array([[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1.0]])
-    return View("view.png", as_float32(intrinsics), as_float32(pose), width, height)
+    view = look_at(eye, target, (width, height), fov_degrees, "view.png")
+    intrinsics = view.K.copy()
+    intrinsics[:2, 2] = principal or intrinsics[:2, 2]
+    return replace(view, K=as_float32(intrinsics), cam_from_world=as_float32(view.cam_from_world))
 
 
 def as_float32(values: np.ndarray) -> np.ndarray:

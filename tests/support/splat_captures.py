@@ -15,7 +15,8 @@ from skimage.color import rgb2lab
 from skimage.measure import label
 
 import drsplat as ds
-from drsplat.base.arrays import Image, MaskIds, Matrix4, PixelNumbers, Points, Vector3
+from drsplat.authoring.filming.looking import looking_at
+from drsplat.base.arrays import Image, MaskIds, PixelNumbers, Points, Vector3
 from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.poses import write_cameras_json
@@ -51,7 +52,7 @@ def orbit(gaussians: ds.Gaussians, up: Vector3, num_views: int, long_side: int =
         elevation = np.radians(ELEVATIONS[index % len(ELEVATIONS)])
         level = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(up, side)
         away = np.cos(elevation) * level + np.sin(elevation) * up
-        pose = look_at(middle + (fits + radius) * away, middle, up)
+        pose = looking_at(middle + (fits + radius) * away, middle, up, (width, height)).cam_from_world
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
         views.append(ds.View(f"photo_{index:03d}.png", K, pose, width, height))
     return views
@@ -72,17 +73,6 @@ def weighted_quantile(values: np.ndarray, weights: np.ndarray, q: float) -> floa
     order = np.argsort(values)
     cumulated = np.cumsum(weights[order], dtype=np.float64)
     return float(values[order][np.searchsorted(cumulated, q * cumulated[-1])])
-
-
-def look_at(eye: Vector3, target: Vector3, up: Vector3) -> Matrix4:
-    """cam_from_world of a camera at `eye`, in OpenCV axes: +x right, +y down, +z forward."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    return pose
 
 
 class ColourEncoder:

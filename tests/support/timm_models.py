@@ -6,17 +6,15 @@ timm imports torchvision; where that is not installed there is a stand-in, so th
 import json
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
-from test_sam import DECODER, IMAGE, IMAGENET, LOOSE, PROMPTS, fill
+from test_sam import DECODER, IMAGE, LOOSE, PROMPTS, fill, test_answers_are_those_of_the_bare_model
 
 from drsplat.photos.models.loading import load_encoder
-from drsplat.photos.models.point_masks import point_grid
 from drsplat.photos.models.sam import load_segmenter
 from torchvision_standin import install_where_absent
 
@@ -49,17 +47,7 @@ def edgetam(folder: Path) -> None:
     segmenter = load_segmenter(str(folder), "cpu", LOOSE)
     assert segmenter.identity["architecture"] == "EdgeTamModel"
     assert len(segmenter.segment(IMAGE)["default"]) >= 20
-    image, points = IMAGE[:64, :64].copy(), point_grid(3) * 64
-    found = list(segmenter.predictor.find(image, points, replace(LOOSE, min_stability=0.0)))
-    masks, scores = np.concatenate([f.masks for f in found]), np.concatenate([f.predicted_iou for f in found])
-    mean, std = (np.array(values)[:, None, None] for values in IMAGENET)
-    pixels = torch.tensor((image.transpose(2, 0, 1) / 255.0 - mean) / std).float()[None]
-    for i, point in enumerate(points):
-        with torch.no_grad():
-            answer = model(pixel_values=pixels, input_points=torch.tensor(point).float()[None, None, None])
-        logits = torch.nn.functional.interpolate(answer.pred_masks[0], (64, 64), mode="bilinear")
-        assert_allclose(scores[3 * i : 3 * i + 3], answer.iou_scores[0, 0], atol=1e-4)
-        assert (masks[3 * i : 3 * i + 3] != (logits[0] > 0).numpy()).mean() < 1e-3
+    test_answers_are_those_of_the_bare_model(folder, transformers)
 
 
 def open_clip(folder: Path) -> None:

@@ -9,6 +9,25 @@ WORDS = ("a", "red", "blue", "mug", "on", "the", "table")
 _SIZES = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2}
 _TEXT = {"vocab_size": 64, "max_position_embeddings": TOKENS, "bos_token_id": 0, "eos_token_id": 1, **_SIZES}
 _VISION = {"patch_size": PATCH, "image_size": SIDE, **_SIZES}
+_CLIP = {"text_config": _TEXT, "vision_config": _VISION, "projection_dim": 8}
+_DINO = {"image_size": 42, "patch_size": 14, "hidden_size": 16, "num_hidden_layers": 2, "num_attention_heads": 2}
+CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {
+    "clip": ("CLIPConfig", _CLIP), "metaclip_2": ("MetaClip2Config", _CLIP),
+    "siglip": ("SiglipConfig", {"text_config": _TEXT, "vision_config": _VISION}),
+    "siglip2": (
+        "Siglip2Config",
+        {"text_config": _TEXT, "vision_config": {"patch_size": PATCH, "num_patches": (SIDE // PATCH) ** 2, **_SIZES}},
+    ),
+    "dinov2": ("Dinov2Config", {**_DINO, "mlp_ratio": 2}),
+    "dinov3_vit": ("DINOv3ViTConfig", {**_DINO, "intermediate_size": 32, "num_register_tokens": 2}),
+    "tipsv2": (
+        "Tipsv2Config",
+        {
+            "text_config": {name: size for name, size in _TEXT.items() if name not in ("bos_token_id", "eos_token_id")},
+            "vision_config": {**_DINO, "image_size": SIDE, "patch_size": PATCH, "mlp_ratio": 2},
+        },
+    ),
+}  # fmt: skip
 
 
 def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None, tokens: int = TOKENS) -> Path:
@@ -21,7 +40,8 @@ def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None, 
 
     torch.manual_seed(seed)
     transformers.utils.logging.disable_progress_bar()
-    settings = CONFIGS[kind](kind)
+    name, sizes = CONFIGS[kind]
+    settings = getattr(transformers, name)(**sizes)
     if dim is not None:
         settings.projection_dim = dim
     texts = hasattr(settings, "text_config")
@@ -37,51 +57,6 @@ def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None, 
     elif texts:
         write_word_tokenizer(folder)
     return folder
-
-
-def clip_config(kind: str) -> Any:
-    import transformers
-
-    config = transformers.CLIPConfig if kind == "clip" else transformers.MetaClip2Config
-    return config(text_config=_TEXT, vision_config=_VISION, projection_dim=8)
-
-
-def siglip_config(kind: str) -> Any:
-    import transformers
-
-    vision = _VISION if kind == "siglip" else {**_VISION, "num_patches": (SIDE // PATCH) ** 2}
-    if kind == "siglip2":
-        vision.pop("image_size")
-    config = transformers.SiglipConfig if kind == "siglip" else transformers.Siglip2Config
-    return config(text_config=_TEXT, vision_config=vision)
-
-
-def dinov2_config(kind: str) -> Any:
-    import transformers
-
-    sizes = {name: size for name, size in _SIZES.items() if name != "intermediate_size"}
-    return transformers.Dinov2Config(image_size=42, patch_size=14, mlp_ratio=2, **sizes)
-
-
-def dinov3_config(kind: str) -> Any:
-    import transformers
-
-    return transformers.DINOv3ViTConfig(image_size=42, patch_size=14, num_register_tokens=2, **_SIZES)
-
-
-def tipsv2_config(kind: str) -> Any:
-    import transformers
-
-    sizes = {name: size for name, size in _SIZES.items() if name != "intermediate_size"}
-    vision = {"image_size": SIDE, "patch_size": PATCH, "mlp_ratio": 2, **sizes}
-    text = {"vocab_size": 64, "max_position_embeddings": TOKENS, **_SIZES}
-    return transformers.Tipsv2Config(text_config=text, vision_config=vision)
-
-
-CONFIGS = {
-    "clip": clip_config, "metaclip_2": clip_config, "siglip": siglip_config, "siglip2": siglip_config,
-    "dinov2": dinov2_config, "dinov3_vit": dinov3_config, "tipsv2": tipsv2_config,
-}  # fmt: skip
 
 
 def write_clip_tokenizer(folder: Path) -> None:

@@ -5,23 +5,18 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import drsplat as ds
 from lvis_files import write_set
-from toy_capture import NEGATIVES, THINGS, write_toy_capture
-from written_captures import write_colmap_text
+from toy_capture import NEGATIVES, THINGS, balls_field, write_toy_capture
+from written_captures import model_of, write_colmap_text
 
 DIM = 128  # what 128 sub-vectors divide
 
 
 def write_own(folder: Path) -> None:
     """A reader's own scene, photos with features, texts and field, and a folder of two scenes."""
-    write_toy_capture(folder)
-    words = ds.WordEncoder.identity
-    features = ds.read_features(folder / "capture/language_features", encoder=words)
-    gaussians, views = ds.read_gaussians(folder / "scene.ply"), ds.read_views(folder / "capture")
-    ds.register(gaussians, views, features).to_field().save(folder / "scene.field")
+    balls_field(write_toy_capture(folder)).save(folder / "scene.field")
 
 
 def write_tour(folder: Path, clip: str) -> Path:
@@ -47,17 +42,9 @@ def write_tour(folder: Path, clip: str) -> Path:
 
 def write_poses_and_points(folder: Path) -> None:
     """The capture's cameras as COLMAP has them, with points: training starts from some, not from 100,000."""
-    views, means = ds.read_views(folder / "capture"), ds.read_gaussians(folder / "scene.ply").means
-    cameras, images = [], []
-    for number, view in enumerate(views, 1):
-        K, pose = view.K, view.cam_from_world
-        cameras.append((number, "PINHOLE", view.width, view.height, (K[0, 0], K[1, 1], K[0, 2], K[1, 2])))
-        turned = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)
-        images.append((number, turned, pose[:3, 3], number, view.name))
-    plain = [(n, m, w, h, tuple(map(float, p))) for n, m, w, h, p in cameras]
-    posed = [(n, tuple(map(float, q)), tuple(map(float, t)), c, name) for n, q, t, c, name in images]
-    points = [(n, tuple(map(float, mean)), (128, 128, 128)) for n, mean in enumerate(means[::30], 1)]
-    write_colmap_text(folder / "capture/sparse/0", plain, posed, points)
+    means = ds.read_gaussians(folder / "scene.ply").means[::30].tolist()
+    points = [(n, tuple(mean), (128, 128, 128)) for n, mean in enumerate(means, 1)]
+    write_colmap_text(folder / "capture/sparse/0", *model_of(ds.read_views(folder / "capture")), points)
     (folder / "capture/cameras.json").unlink()
 
 

@@ -15,7 +15,8 @@ from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.poses import write_cameras_json
 from drsplat.scene.moving import Frames, Moving
-from scenes import look_at_view
+from fields import with_flat_objects
+from scenes import gaussians_at, look_at_view
 
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
 THINGS = {"red mug": (-0.7, 0.0, 0.0), "blue plate": (0.7, 0.0, 0.0)}
@@ -30,15 +31,7 @@ def balls() -> ds.Gaussians:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     means = 0.3 * directions + np.repeat(list(THINGS.values()), PER_THING, axis=0)
     colors = np.repeat([(1.2, -1.2, -1.2), (-1.2, -1.2, 1.2)], PER_THING, axis=0)
-    count = len(means)
-    columns = (
-        means,
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        np.full((count, 3), 0.05),
-        np.full(count, 0.9),
-        colors[:, None],
-    )
-    return ds.Gaussians(*(column.astype(np.float32) for column in columns))
+    return replace(gaussians_at(means, 0.05), sh=colors.astype(np.float32)[:, None])
 
 
 def sliding(gaussians: ds.Gaussians) -> Moving:
@@ -82,4 +75,21 @@ def write_toy_capture(folder: Path) -> Path:
     texts = [*THINGS, *NEGATIVES]
     vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))
     (folder / "clip_texts.json").write_text(json.dumps(vectors))
+    return folder
+
+
+def balls_field(folder: Path, gaussians: ds.Gaussians | None = None) -> ds.LanguageField:
+    """The field of a toy capture, of its own scene unless others are given; both balls are objects."""
+    scene = ds.read_gaussians(folder / "scene.ply") if gaussians is None else gaussians
+    features = ds.read_features(folder / "capture/language_features", encoder=ds.WordEncoder.identity)
+    field = ds.register(scene, ds.read_views(folder / "capture"), features).to_field()
+    rows = scene.extra.get("source_row", np.arange(len(scene)))[field.gaussian_ids]
+    return with_flat_objects(field, scene, rows // PER_THING)
+
+
+def write_balls(folder: Path) -> Path:
+    """A room to edit: scene.ply, room.field, which knows both balls as objects, and capture/ in a folder."""
+    write_toy_capture(folder)
+    (folder / "points.ply").unlink()  # it has the same places: another scene beside the field
+    balls_field(folder).save(folder / "room.field")
     return folder

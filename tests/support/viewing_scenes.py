@@ -1,5 +1,7 @@
 """A scene of three boxes that answer words, for tests of the viewer."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -8,7 +10,7 @@ from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.photos.models.words import WordEncoder
 from drsplat.query import Scene
 from drsplat.scene.gaussians import Gaussians
-from scenes import look_at_view
+from scenes import gaussians_at, look_at_view
 
 THINGS = ("red mug", "blue mug", "tall lamp")
 CENTERS = ((-1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.2, 0.0, 0.3))
@@ -20,16 +22,9 @@ def boxes() -> tuple[Gaussians, np.ndarray]:
     rng = np.random.default_rng(3)
     local = (rng.random((3, EACH, 3)) - 0.5) * (0.4, 0.3, 0.2)
     points = (local + np.array(CENTERS)[:, None]).reshape(-1, 3)
-    points = np.concatenate([points, rng.uniform(-3, 3, (HAZE, 3))]).astype(np.float32)
-    count = len(points)
-    colors = rng.uniform(-1, 1, (count, 1, 3)).astype(np.float32)
-    scene = Gaussians(
-        points,
-        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        np.full((count, 3), 0.03, np.float32),
-        np.full(count, 0.8, np.float32),
-        colors,
-    )
+    points = np.concatenate([points, rng.uniform(-3, 3, (HAZE, 3))])
+    colors = rng.uniform(-1, 1, (len(points), 1, 3)).astype(np.float32)
+    scene = replace(gaussians_at(points, 0.03, opacity=0.8), sh=colors)
     labels = np.concatenate([np.repeat(np.arange(3), EACH), np.full(HAZE, -1)])
     return scene, labels
 

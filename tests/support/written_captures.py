@@ -13,15 +13,7 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-MODEL_IDS = {
-    "SIMPLE_PINHOLE": 0,
-    "PINHOLE": 1,
-    "SIMPLE_RADIAL": 2,
-    "RADIAL": 3,
-    "OPENCV": 4,
-    "OPENCV_FISHEYE": 5,
-    "FULL_OPENCV": 6,
-}
+MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV")
 
 NO_POINT = 2**64 - 1  # of an observation without a point
 
@@ -57,7 +49,7 @@ def write_colmap_binary(folder: Path, cameras=CAMERAS, images=IMAGES, points=POI
     folder.mkdir(parents=True, exist_ok=True)
     data = struct.pack("<Q", len(cameras))
     for i, model, w, h, p in cameras:
-        data += struct.pack(f"<IiQQ{len(p)}d", i, MODEL_IDS[model], w, h, *p)
+        data += struct.pack(f"<IiQQ{len(p)}d", i, MODELS.index(model), w, h, *p)
     (folder / "cameras.bin").write_bytes(data)
     data = struct.pack("<Q", len(images))
     for i, q, t, camera, name in images:
@@ -80,6 +72,17 @@ def write_photo(path: Path, width: int = 64, height: int = 48) -> None:
 def write_photos(folder: Path, images=IMAGES, width: int = 64, height: int = 48) -> None:
     for *_, name in images:
         write_photo(folder / name, width, height)
+
+
+def model_of(views) -> tuple[list, list]:
+    """Cameras and images of pinhole views, for the writers."""
+    cameras, images = [], []
+    for number, view in enumerate(views, 1):
+        lens, pose = view.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), view.cam_from_world
+        quaternion = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1).tolist()
+        cameras.append((number, "PINHOLE", view.width, view.height, lens))
+        images.append((number, quaternion, pose[:3, 3].tolist(), number, view.name))
+    return cameras, images
 
 
 def camera_to_world(quaternion, translation) -> np.ndarray:

@@ -39,7 +39,6 @@ from drsplat.kernels.cuda import devices
 from drsplat.kernels.cuda import engine as engines
 from drsplat.kernels.cuda import training as there
 from drsplat.kernels.training import Rates
-from drsplat.scene.eight_bits import MAX_ABS_CONSTANT
 from drsplat.training import device_run
 from drsplat.training.device_run import DeviceOptimizer, DeviceRun
 from drsplat.training.keeper import load_checkpoint, save_checkpoint
@@ -272,7 +271,7 @@ def test_a_run_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, distortion,
         views = masked_views(views, tmp_path, 20)
     device, here = both_runs(cuda_engine_on_cpu, views, points, s)
     if distortion is not None:
-        assert len(here.photos[0].outside) > 5
+        assert here.photos[0].outside.sum() > 5
     assert_same_losses(device, here, 10)
     for name, ours in here.optimizer.parameters._asdict().items():
         if name != "quats":  # of round Gaussians: the slope is rounding alone, and Adam's step its sign
@@ -303,12 +302,6 @@ def test_the_chain_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, monkeyp
 
 
 @pytest.mark.slow
-def test_the_budget_is_never_exceeded(cuda_engine_on_cpu, views, points):
-    run = fresh_run(DeviceRun, views, points, replace(BUSY, max_gaussians=71), engine=cuda_engine_on_cpu)
-    assert max(run.step() and len(run) for _ in range(11)) == 71
-
-
-@pytest.mark.slow
 def test_gaussians_that_only_left_out_pixels_show_are_not_seen(cuda_engine_on_cpu, views, points, tmp_path):
     """The counts of density control are those of the CPU."""
     counts = []
@@ -324,53 +317,27 @@ def test_gaussians_that_only_left_out_pixels_show_are_not_seen(cuda_engine_on_cp
 
 
 @pytest.mark.slow
-def test_colors_stay_within_bytes(cuda_engine_on_cpu, views, points):
-    s = replace(BUSY, colors_in_bytes=True, sh_rate=0.5)
-    run = fresh_run(DeviceRun, views, points, s, engine=cuda_engine_on_cpu)
-    free = fresh_run(DeviceRun, views, points, replace(s, colors_in_bytes=False), engine=cuda_engine_on_cpu)
-    for _ in range(4):
-        run.step()
-        free.step()
-    largest = [np.abs(each.optimizer.parameters.sh[:, 0]).max() for each in (run, free)]
-    assert largest[0] == np.float32(MAX_ABS_CONSTANT)
-    assert largest[1] > MAX_ABS_CONSTANT
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("s", [BUSY, CHAIN], ids=["default", "mcmc"])
-def test_a_run_goes_on_from_its_checkpoint_to_the_same_bits(cuda_engine_on_cpu, views, points, tmp_path, s):
-    whole = fresh_run(DeviceRun, views, points, s, engine=cuda_engine_on_cpu)
-    for _ in range(6):
-        whole.step()
-    save_checkpoint(tmp_path / "checkpoint.safetensors", whole, "capture")
-    later = fresh_run(DeviceRun, views, points, s, engine=cuda_engine_on_cpu)
-    load_checkpoint(tmp_path / "checkpoint.safetensors", later, "capture")
-    for _ in range(4):
-        assert whole.step().loss == later.step().loss
-    for name, array in whole.state()[0].items():
-        assert_array_equal(later.state()[0][name], array, err_msg=name)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("s", [BUSY, CHAIN], ids=["default", "mcmc"])
 def test_a_run_may_move_between_devices(cuda_engine_on_cpu, views, points, tmp_path, s):
-    """From the CPU to the device and back: each goes on where the other stopped."""
+    """From the CPU to the device and back: each goes on where the other stopped, or the same one does."""
     path, runs = tmp_path / "checkpoint.safetensors", both_runs(cuda_engine_on_cpu, views, points, s)
     here, device = runs[1], runs[0]
     for last, following in ((here, device), (device, fresh_run(Run, views, points, s))):
         for _ in range(6):
             last.step()
-        save_checkpoint(path, last, "capture")
-        load_checkpoint(path, following, "capture")
+        save_checkpoint(path, last, "{}")
+        load_checkpoint(path, following, "{}")
         assert following.iteration == last.iteration
         for name, array in last.state()[0].items():
             assert_array_equal(following.state()[0][name], array, err_msg=name)
-        assert following.step().loss == pytest.approx(last.step().loss, rel=1e-4)
-        load_checkpoint(path, following, "capture")
+        again = fresh_run(type(last), views, points, s, **({"engine": cuda_engine_on_cpu} if last is device else {}))
+        load_checkpoint(path, again, "{}")
+        loss = last.step().loss
+        assert again.step().loss == loss  # on the same device to the same bits
+        assert following.step().loss == pytest.approx(loss, rel=1e-4)
+        load_checkpoint(path, following, "{}")
     with pytest.raises(MismatchError, match="other settings"):
-        load_checkpoint(
-            path, fresh_run(DeviceRun, views, points, replace(s, seed=3), engine=cuda_engine_on_cpu), "capture"
-        )
+        load_checkpoint(path, fresh_run(DeviceRun, views, points, replace(s, seed=3), engine=cuda_engine_on_cpu), "{}")
 
 
 @pytest.mark.slow
@@ -559,11 +526,3 @@ def test_noise_is_that_of_philox(cuda_engine_on_cpu):
         first, second = ((word >> 8) + 0.5 for word in philox(place // 4, low, high)[place % 4 : place % 4 + 2])
         length, angle = math.sqrt(-2 * math.log(first / 2**24)), 2 * math.pi * second / 2**24
         assert_allclose(drawn[place : place + 2], [length * math.cos(angle), length * math.sin(angle)], atol=2e-6)
-
-
-def test_noise_is_normal(cuda_engine_on_cpu):
-    drawn = there.normals(cuda_engine_on_cpu, default_rng(0), 30_001).astype(np.float64)
-    assert abs(drawn.mean()) < 0.02
-    assert drawn.std() == pytest.approx(1, abs=0.02)
-    assert (drawn**4).mean() == pytest.approx(3, abs=0.15)
-    assert np.abs(np.corrcoef(drawn.T) - np.eye(3)).max() < 0.03

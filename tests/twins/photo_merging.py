@@ -5,12 +5,19 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drsplat.base.arrays import Float64, Indices, Int64
+from drsplat.base.arrays import DoubleRows, Doubles, Float64, Indices, Int64
 from drsplat.kernels.photo_regions import AREA, AROUND, LENGTH, RegionGraph
+from drsplat.photos.models.graph.segmenter import MergeRule
 
 from .photo_features import pair_features
 
 Likelihood = Callable[[Float64[np.ndarray, "e f"]], Float64[np.ndarray, " e"]]
+
+
+def likelihood(rule: MergeRule, features: DoubleRows) -> Doubles:
+    """Return the likelihood of each pair, 0 to 1, in six digits: a product's last bits depend on the processor."""
+    inner = np.tanh(np.clip((features - rule.center) / rule.width, -5, 5) @ rule.hidden + rule.hidden_bias)
+    return np.round(1 / (1 + np.exp(-(inner @ rule.output + rule.output_bias))), 6)
 
 
 class Merging:

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests/support"))
 
 from twins.photo_features import OF_NETWORK
-from twins.photo_merging import Likelihood, Merging
+from twins.photo_merging import Likelihood, Merging, likelihood
 
 KEPT = 0.06  # of the pairs that are met whose smaller region has USUAL_AREA pixels
 USUAL_AREA, MOST_AREA = 300, 5000
@@ -125,15 +126,15 @@ def learned(
     """blind: what the network sees is left out."""
     met: list[tuple[np.ndarray, ...]] = []
     own: MergeRule | None = None
-    likelihood: Likelihood = by_color
+    judge: Likelihood = by_color
     for turn in range(rounds):
         start = time.monotonic()
-        met += [pairs_met(one, likelihood, np.random.default_rng(1000 * turn + i)) for i, one in enumerate(cases)]
+        met += [pairs_met(one, judge, np.random.default_rng(1000 * turn + i)) for i, one in enumerate(cases)]
         features, together, weights = map(np.concatenate, zip(*met, strict=True))
         known = features[:, :-OF_NETWORK] if blind else features
         own = learn_rule(own or first_rule(known, hidden), known, together, weights, steps)
         rule = padded(own, features.shape[1])
-        likelihood = rule.likelihood
+        judge = partial(likelihood, rule)
         scores = [np.round(mean_score(some, rule), 3) for some in (cases[::8], held_out)]
         print(f"round {turn}: {len(features)} pairs, {time.monotonic() - start:.0f} s", *scores, flush=True)
     return rule

@@ -89,7 +89,7 @@ class GsplatRun(Run):
     def _photo(self, index: int) -> Tensor:
         """Return a photo's bytes on the device. Raises: ValueError: pixels that say nothing, which need masks."""
         photo = self.photos[index]
-        if len(photo.unused):
+        if photo.unused is not None:
             raise ValueError(f"{self.views[index].name}: photos with masks or edges are not compared")
         return torch.tensor(photo.pixels, device=self.device)
 

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, MissingFileError
 from .arrays import UInt8
 from .system import NO_WAITING, OWN_FILE_FLAGS
 
@@ -42,39 +42,36 @@ _PIECE_BYTES = 64 << 20  # of a mapped file that are in memory at once
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:
     """Open a regular file for reading; never wait for a pipe's writer.
 
-    Raises: InputError: a folder, pipe, socket or device. FormatError: what lies there in place of a file, see
-    `_refuse_stand_in`. OSError: as `open`.
+    Raises: MissingFileError. InputError: a folder, pipe, socket or device. FormatError: what lies there in place of a
+    file, a pointer of Git LFS or a web page. OSError: as `open`.
     """
     try:
         number = os.open(path, os.O_RDONLY | NO_WAITING | OWN_FILE_FLAGS)
+    except (FileNotFoundError, NotADirectoryError):
+        raise MissingFileError(f"{path}: there is no such file") from None
     except ValueError:  # no system call was made
         raise InputError(f"{os.fspath(path)!r}: no name that a file can have: expected UTF-8 without a null") from None
     if not stat.S_ISREG(os.fstat(number).st_mode):
         os.close(number)
         raise InputError(f"{path}: expected a file, this is a folder, a pipe or a device")
     file = open(number, "rb")  # noqa: SIM115  (the caller closes it)
-    try:
-        _refuse_stand_in(file, path)
+    try:  # what downloads leave under the name of a file
+        start = file.raw.read(_PAGE_BYTES)  # not into the buffer, which would keep them
+        file.raw.seek(0, os.SEEK_SET)
+        if start.startswith(_LFS_START):
+            raise FormatError(
+                f"{path}: a pointer of {os.fstat(number).st_size} bytes, which Git LFS keeps in place of the file: "
+                "fetch the file itself with `git lfs pull`"
+            )
+        if _PAGE.match(start) and not os.fspath(path).lower().endswith(PAGE_SUFFIXES):
+            raise FormatError(
+                f"{path}: a web page or a message (HTML), which a server sent in place of the file: download the file "
+                "itself, by its link to the raw file, logged in where that is asked for"
+            )
     except BaseException:
         file.close()
         raise
     return file
-
-
-def _refuse_stand_in(file: BufferedReader, path: str | os.PathLike[str]) -> None:
-    """Refuse what downloads leave under the name of a file. Raises: FormatError: a pointer of Git LFS, a web page."""
-    start = file.raw.read(_PAGE_BYTES)  # not into the buffer, which would keep them
-    file.raw.seek(0, os.SEEK_SET)
-    if start.startswith(_LFS_START):
-        raise FormatError(
-            f"{path}: a pointer of {os.fstat(file.fileno()).st_size} bytes, which Git LFS keeps in place of the file: "
-            "fetch the file itself with `git lfs pull`"
-        )
-    if _PAGE.match(start) and not os.fspath(path).lower().endswith(PAGE_SUFFIXES):
-        raise FormatError(
-            f"{path}: a web page or a message (HTML), which a server sent in place of the file: download the file "
-            "itself, by its link to the raw file, logged in where that is asked for"
-        )
 
 
 def file_text(path: str | os.PathLike[str]) -> str:
@@ -96,12 +93,17 @@ def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:
 
     Raises: InputError: there is no such file, or it is none. FormatError: it becomes shorter while it is read.
     """
-    try:
-        with open_file(path) as file:
-            size = os.fstat(file.fileno()).st_size
-            return _read(file, size, path) if size <= MAX_READ_BYTES else np.memmap(file, np.uint8, "r")
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{path}: there is no such file") from None
+    with open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > MAX_READ_BYTES:
+            return np.memmap(file, np.uint8, "r")
+        room = np.empty(size + _CACHE_LINE_BYTES, np.uint8)
+        start = -room.ctypes.data % _CACHE_LINE_BYTES
+        content = room[start : start + size]
+        if file.readinto(content.data) != size:
+            raise FormatError(f"{path}: the file became shorter while it was read: try again")
+    content.setflags(write=False)
+    return content
 
 
 def scratch(shape: tuple[int, ...], dtype: type[np.generic]) -> np.ndarray:
@@ -133,13 +135,3 @@ def pieces(array: np.ndarray) -> Iterator[memoryview]:
     for begin in range(0, raw.size, _PIECE_BYTES):
         yield raw[begin : begin + _PIECE_BYTES].data
         release(array)
-
-
-def _read(file: BufferedReader, size: int, path: Path) -> UInt8[np.ndarray, " n"]:
-    room = np.empty(size + _CACHE_LINE_BYTES, np.uint8)
-    start = -room.ctypes.data % _CACHE_LINE_BYTES
-    content = room[start : start + size]
-    if file.readinto(content.data) != size:
-        raise FormatError(f"{path}: the file became shorter while it was read: try again")
-    content.setflags(write=False)
-    return content

@@ -61,12 +61,13 @@ def _guarded(function: C, public_name: str) -> C:
 def _annotations(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]:
     """Return the signature, and the types of its parameters except those that only type checkers import."""
     hints: dict[str, Any] = {}
-    signature = inspect.signature(function)
+    signature, known = inspect.signature(function), getattr(inspect.unwrap(function), "__globals__", {})
     for name, parameter in signature.parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
         try:
-            hints |= get_type_hints(_Holder({name: parameter.annotation}, function), include_extras=True)
+            one = types.SimpleNamespace(__annotations__={name: parameter.annotation})  # it resolves all or none
+            hints |= get_type_hints(one, known, include_extras=True)
         except NameError:
             continue
     hints.pop("return", None)
@@ -74,7 +75,12 @@ def _annotations(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[
 
 
 def _is_a(value: object, hint: Any) -> bool:
-    """Return whether a value has a type; sequences are checked by their type and their first element."""
+    """Return whether a value has a type, where NumPy's numbers and arrays count, too.
+
+    Sequences are checked by their type and their first element.
+    """
+    import numpy as np
+
     origin, parts = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return any(_is_a(value, part) for part in parts)
@@ -82,32 +88,18 @@ def _is_a(value: object, hint: Any) -> bool:
         return value in parts
     if origin is Annotated:  # an array
         return _is_a(value, parts[0])
-    if origin is not None and not isinstance(origin, type):
-        return True
     kind = origin or hint
     if not isinstance(kind, type) or isinstance(hint, TypeVar):
         return True
-    if not _is_kind(value, kind):
-        return False
-    if parts and issubclass(kind, Sequence) and isinstance(value, Sequence) and len(value):
-        return _is_a(value[0], parts[0])
-    return True
-
-
-def _is_kind(value: object, kind: type) -> bool:
-    """Return whether a value is an instance of a type, where NumPy's numbers and arrays count, too."""
-    import numpy as np
-
     array = getattr(kind, "array_type", None)  # jaxtyping's, if `arrays` uses it
     if array is not None:
         return isinstance(value, array)
     if kind in (int, float):
-        numbers = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
-        return isinstance(value, numbers)
-    if kind is os.PathLike:
-        return isinstance(value, os.PathLike)
+        return isinstance(value, int | np.integer | (np.integer if kind is int else float | np.floating))
     if issubclass(kind, Sequence) and not issubclass(kind, str):
-        return isinstance(value, kind | np.ndarray) and not isinstance(value, str)
+        if isinstance(value, str) or not isinstance(value, kind | np.ndarray):
+            return False
+        return not parts or not isinstance(value, Sequence) or not len(value) or _is_a(value[0], parts[0])
     try:
         return isinstance(value, kind)
     except TypeError:  # a protocol without runtime checks; ours are of functions
@@ -147,11 +139,3 @@ def _described(value: object) -> str:
     if isinstance(value, list | tuple) and value:
         return f"{name} of {type(value[0]).__name__}"
     return name
-
-
-class _Holder:
-    """Holder of one annotation, for `get_type_hints`, which resolves all or none."""
-
-    def __init__(self, annotations: dict[str, Any], function: Callable[..., Any]) -> None:
-        self.__annotations__ = annotations
-        self.__globals__ = getattr(inspect.unwrap(function), "__globals__", {})

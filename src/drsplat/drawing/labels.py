@@ -77,7 +77,7 @@ def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.
     named = [number for number, mark in enumerate(marks) if mark.text.strip() and lines[number]]
     spots = [np.array(lines[number]).reshape(-1, 2) for number in named]
     things = [np.concatenate([spot.min(0), spot.max(0)]) for spot in spots]
-    texts = [pen.textbbox((0, 0), _in_a_line(marks[number].text), letters) for number in named]
+    texts = [pen.textbbox((0, 0), " ".join(marks[number].text.split()), letters) for number in named]
     border = max((bottom - top for _, top, _, bottom in texts), default=0) / 3
     sizes = [(right - left + 2 * border, bottom - top + 2 * border) for left, top, right, bottom in texts]
     plates = dict(zip(named, plates_of(things, sizes, border, view.size), strict=True))
@@ -156,16 +156,11 @@ def _in_sight(far_first: Sequence[int], plates: dict[int, Box], view: View) -> l
 
 def _draw_name(pen: ImageDraw.ImageDraw, mark: Mark, plate: Box, letters: Letters) -> None:
     left, top, right, bottom = plate.tolist()
-    text = _in_a_line(mark.text)
+    text = " ".join(mark.text.split())
     inner = pen.textbbox((0, 0), text, letters)
     x, y = (left + right - inner[0] - inner[2]) / 2, (top + bottom - inner[1] - inner[3]) / 2
     pen.rectangle((left, top, right, bottom), fill=SHADE_COLOR)
     pen.text((x, y), text, mark.color, letters)
-
-
-def _in_a_line(text: str) -> str:
-    """Join the lines of a text."""
-    return " ".join(text.split())
 
 
 def plates_of(
@@ -192,6 +187,6 @@ def plates_of(
         # the number of pixels that each place shares with each taken plate
         a, b = places[:, None], (taken if number < MAX_DODGING_NAMES else taken[:0])[None]
         sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
-        hidden = np.asarray(sides.clip(0).prod(-1)).sum(1)
+        hidden = sides.clip(0).prod(-1).sum(1)
         taken = np.concatenate([taken, places[[int(np.argmin(hidden))]]])
     return list(taken)

@@ -186,20 +186,14 @@ def titled(picture: Pixels, title: str, note: str = "") -> OtherPixels:
     canvas = Image.new("RGB", (width, height + strip), PAPER)
     canvas.paste(Image.fromarray(picture), (0, strip))
     draw = ImageDraw.Draw(canvas)
-    large, small = _letters(draw, title, note, width, strip)
+    for share in LETTER_SCALES:  # as large as both fit in one line, and never tiny
+        large, small = (ImageFont.load_default(part * strip * share) for part in (0.56, 0.42))
+        if draw.textlength(title, large) + draw.textlength(note, small) <= width - strip:
+            break
     left = width - strip - draw.textlength(note, small)
     draw.text((strip * 0.35, strip / 2), fitting(draw, title, large, left), INK, large, anchor="lm")
     draw.text((width - strip * 0.35, strip / 2), note, FAINT, small, anchor="rm")
     return np.asarray(canvas)
-
-
-def _letters(draw: ImageDraw.ImageDraw, title: str, note: str, width: int, strip: int) -> tuple[Letters, Letters]:
-    """Return fonts for both, as large as they fit in one line, and never tiny."""
-    for share in LETTER_SCALES:
-        large, small = (ImageFont.load_default(part * strip * share) for part in (0.56, 0.42))
-        if draw.textlength(title, large) + draw.textlength(note, small) <= width - strip:
-            break
-    return large, small
 
 
 def fitting(draw: ImageDraw.ImageDraw, text: str, letters: Letters, room: float) -> str:

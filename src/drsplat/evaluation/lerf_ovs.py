@@ -11,8 +11,7 @@ selections that share no Gaussian, at most one is seen at a pixel, and none wher
 Source: OpenGaussian (Wu et al. 2024); Dr. Splat Sec. B "3D object selection".
 """
 
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,9 +25,8 @@ from ..base.contents import Document
 from ..errors import InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
-from ..formats.json_files import as_object, as_vector, read_json
+from ..formats.json_files import as_object, as_vector, read_json, write_json
 from ..formats.lerf_ovs import LabelledFrame, read_lerf_labels
-from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..scene.gaussians import Gaussians
 from ..scene.views import View, same_aspect
@@ -137,8 +135,7 @@ def predict(
         "chosen": picked,
     }
     Manifest(PROTOCOL, scorer.name, scene.name, columns, inputs, leaked_frames(scene, scorer)).write(folder)
-    with replacing(folder / scene.name / PEAKS, overwrite=True) as file:
-        file.write(json.dumps(peaks, indent=1).encode() + b"\n")
+    write_json(folder / scene.name / PEAKS, peaks, overwrite=True)
 
 
 def without_labelled(views: Sequence[View], scene: LerfScene) -> list[View]:
@@ -217,23 +214,20 @@ def _cuts(scorer: Scorer, category: str, scores: Scores, chosen: Mapping[str, tu
 
 
 def _write_masks(splats: SplatArrays, view: View, cut: _Cut, path: Callable[..., Path], threads: int) -> PixelNumbers:
-    """Write the masks of a selection, alone and within the scene, by column; return the scores' picture."""
-    for column, mask in _masks(splats, view, cut, threads):
+    """Write the masks of a selection, alone and within the scene, by column; return the scores' picture.
+
+    Equal selections are rendered once: selections by threshold are nested.
+    """
+    count, mask = -1, np.zeros((view.height, view.width), bool)
+    for column, threshold in sorted(cut.at.items(), key=lambda item: item[1]):
+        selected = np.flatnonzero(cut.scores > np.float32(threshold))  # false for NaN
+        if len(selected) != count:
+            count, mask = len(selected), silhouette(splats, view, selected, threads)
         write_mask(path(column=column), mask)
     whole = _whole_picture(splats, view, cut, threads)
     for column, share in zip(cut.at, whole[1:], strict=True):
         write_mask(path(column=seen_column(column)), share > MAJORITY_SHARE)
     return whole[0]
-
-
-def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator[tuple[str, Mask]]:
-    """Yield each column's mask; equal selections are rendered once."""
-    count, mask = -1, np.zeros((view.height, view.width), bool)
-    for column, threshold in sorted(cut.at.items(), key=lambda item: item[1]):
-        selected = np.flatnonzero(cut.scores > np.float32(threshold))  # false for NaN
-        if len(selected) != count:  # selections by threshold are nested
-            count, mask = len(selected), silhouette(splats, view, selected, threads)
-        yield column, mask
 
 
 def silhouette(splats: SplatArrays, view: View, selected: RowIds, threads: int = 0) -> Mask:

@@ -6,7 +6,6 @@ FOLDER/SCENE/seen COLUMN/...     the same, of the part of the selection that is 
 FOLDER/SCENE/*.npy               labels and scores
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from PIL import Image
 
 from ..base.arrays import Doubles, Flags, Float32, Mask, Numbers, OtherDoubles
 from ..errors import FormatError, InputError, MismatchError
-from ..formats.json_files import as_kind, excerpt, read_json
+from ..formats.json_files import as_kind, excerpt, read_json, write_json
 from ..formats.replacing import replacing
 
 MANIFEST = "predictions.json"
@@ -48,8 +47,7 @@ class Manifest:
 
     def write(self, folder: Path) -> None:
         (folder / self.scene).mkdir(parents=True, exist_ok=True)
-        with replacing(folder / self.scene / MANIFEST, overwrite=True) as file:
-            file.write(json.dumps(asdict(self), indent=1, default=str).encode() + b"\n")
+        write_json(folder / self.scene / MANIFEST, asdict(self), overwrite=True, default=str)
 
 
 def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifest:

@@ -4,7 +4,7 @@ import base64
 import io
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from ..base.arrays import Pixels
+from ..formats.json_files import write_json
 from ..formats.replacing import replacing
 from .tables import Table, pictures_note, tables_of
 
@@ -189,14 +190,11 @@ def write_report(
         "drsplat": version("drsplat"),
         "results": [dict(result) for result in results],
     }
-    text = json.dumps(without_nan(document), indent=1, allow_nan=False)
     page = html_page(results, tables_of(results), figures, [*charts, *charts_of(results), *_study_charts(results)])
-    written = []
-    for name, content in ((RESULTS, text + "\n"), (PAGE, page)):
-        with replacing(folder / name, overwrite) as file:
-            file.write(content.encode())
-        written.append(folder / name)
-    return written
+    write_json(folder / RESULTS, without_nan(document), overwrite, allow_nan=False)
+    with replacing(folder / PAGE, overwrite) as file:
+        file.write(page.encode())
+    return [folder / RESULTS, folder / PAGE]
 
 
 def without_nan(value: Any) -> Any:
@@ -313,8 +311,17 @@ def _study_charts(results: Sequence[Mapping[str, Any]]) -> list[str]:
 def charts_of(results: Results) -> list[str]:
     """Return the SVG charts that these results have numbers for; several methods are curves of one chart."""
     with_queries = [(result, _column(result)) for result in results if result.get("queries")]
-    charts = [_word_bars(result, column) for result, column in with_queries]
-    charts += [_class_bars(result) for result in results if "segmentation" in result]
+    charts = [
+        _bars(
+            ((query["category"], query["iou"][column]) for query in result["queries"]),
+            "word", f"{result['method']}, {column} threshold",
+        )
+        for result, column in with_queries
+    ]  # fmt: skip
+    for result in results:
+        records = result["segmentation"]["by_scene"].values() if "segmentation" in result else ()
+        pairs = [(name, numbers["iou"]) for record in records for name, numbers in record["classes"].items()]
+        charts += [_bars(pairs, "class", str(result["method"]))] if "segmentation" in result else []
     if with_queries:
         series = [_success_curve(result, column) for result, column in with_queries]
         charts.append(curves(series, "IoU", "percent of answers that reach it", "How many answers are good"))
@@ -327,24 +334,12 @@ def _column(result: Mapping[str, Any]) -> str:
     return next((column for column in COLUMNS if column in columns), columns[0])
 
 
-def _word_bars(result: Mapping[str, Any], column: str) -> str:
+def _bars(pairs: Iterable[tuple[str, float]], kind: str, source: str) -> str:
+    """Draw a bar for each word or class, best first; only the worst ones where they are many. pairs: names and IoUs."""
     ious: dict[str, list[float]] = {}
-    for query in result["queries"]:
-        ious.setdefault(query["category"], []).append(query["iou"][column])
-    return _bars(ious, "word", f"{result['method']}, {column} threshold")
-
-
-def _class_bars(result: Mapping[str, Any]) -> str:
-    ious: dict[str, list[float]] = {}
-    for record in result["segmentation"]["by_scene"].values():
-        for name, numbers in record["classes"].items():
-            ious.setdefault(name, []).append(numbers["iou"])
-    return _bars(ious, "class", str(result["method"]))
-
-
-def _bars(by_name: Mapping[str, Sequence[float]], kind: str, source: str) -> str:
-    """Draw a bar for each word or class, best first; only the worst ones where they are many."""
-    rows = sorted(((name, 100 * float(np.mean(ious))) for name, ious in by_name.items()), key=lambda row: -row[1])
+    for name, iou in pairs:
+        ious.setdefault(name, []).append(iou)
+    rows = sorted(((name, 100 * float(np.mean(of))) for name, of in ious.items()), key=lambda row: -row[1])
     cut = f", the {MAX_BARS} worst of {len(rows)}" if len(rows) > MAX_BARS else ""
     return bars(rows[-MAX_BARS:], "%", f"IoU of each {kind}: {source}{cut}")
 

@@ -9,6 +9,7 @@ from PIL import Image
 
 from ..base.arrays import Pixels, Vectors
 from ..base.contents import AnyPath, Document
+from ..drawing.heat import heat_colors
 from ..drawing.pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..errors import InputError
 from ..field.codes import Track, untracked
@@ -31,7 +32,6 @@ from .tables import pictures_judged
 
 LONG_SIDE_PIXELS = 480
 SELECTED, OTHERS = (1.0, 0.85, 0.1), (0.1, 0.2, 0.65)  # Fig. S7: yellow, blue
-_HEAT = np.array([[0.05, 0.03, 0.2], [0.3, 0.07, 0.45], [0.72, 0.2, 0.35], [0.98, 0.55, 0.2], [0.98, 0.98, 0.7]])
 
 
 def lerf_figures(
@@ -93,13 +93,11 @@ def small(view: View) -> View:
 
 
 def activation(splats: SplatArrays, view: View, scores: Scores, threads: int = 0) -> Pixels:
-    """Draw scores from the 50th to the 99.9th percentile in colours from dark to light."""
+    """Draw scores from the 50th to the 99.9th percentile as heat."""
     finite = scores[np.isfinite(scores)]
     low, high = np.percentile(finite, (50, 99.9)) if len(finite) else (0.0, 1.0)
-    level = np.clip((np.nan_to_num(scores, nan=low) - low) / max(high - low, 1e-9), 0, 1)
-    steps = np.linspace(0, 1, len(_HEAT))
-    colors = np.stack([np.interp(level, steps, channel) for channel in _HEAT.T], 1)
-    return _drawn(splats, view, colors.astype(np.float32), threads)
+    level = (np.nan_to_num(scores, nan=low) - low) / max(high - low, 1e-9)
+    return _drawn(splats, view, heat_colors(level.astype(np.float32)), threads)
 
 
 def selection(splats: SplatArrays, view: View, scores: Scores, threshold: float, threads: int = 0) -> Pixels:

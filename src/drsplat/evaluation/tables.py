@@ -4,7 +4,7 @@ Numbers of papers, each with its source, are in published.tsv. `same_data` says 
 and labels; only then is a difference shown.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -24,6 +24,11 @@ class Published:
     method: str
     numbers: Mapping[str, float]
     source: str
+
+    @property
+    def named(self) -> str:
+        """Method and source."""
+        return f"{self.method} ({self.source})"
 
 
 @dataclass(frozen=True)
@@ -115,13 +120,12 @@ def _papers(
 ) -> list[tuple[Cell, ...]]:
     """Return the papers' rows and our difference from the paper's, on the same data only."""
     published = published_for(result, task) if same_data(result) else ()
-    rows = [_padded(_named(entry), width, _numbers(entry, keys)) for entry in published]
-    paper = next((entry for entry in published if entry.method == DR_SPLAT), None)
-    if paper is not None:
-        gaps = [
-            None if theirs is None else mine - theirs for mine, theirs in zip(ours, _numbers(paper, keys), strict=True)
-        ]
-        rows.append(_padded("ours minus the paper's", width, gaps))
+    empty: list[Cell] = [""] * (width - 1)
+    rows: list[tuple[Cell, ...]] = [(entry.named, *empty, *map(entry.numbers.get, keys)) for entry in published]
+    for entry in [entry for entry in published if entry.method == DR_SPLAT][:1]:
+        theirs = map(entry.numbers.get, keys)
+        gaps = [None if their is None else mine - their for mine, their in zip(ours, theirs, strict=True)]
+        rows.append(("ours minus the paper's", *empty, *gaps))
     return rows
 
 
@@ -131,22 +135,10 @@ def _other_data(result: Mapping[str, Any], task: str) -> list[Table]:
     if not published or same_data(result):
         return []
     keys = tuple(dict.fromkeys(key for entry in published for key in entry.numbers))
-    rows = tuple((_named(entry), *_numbers(entry, keys)) for entry in published)
+    rows = tuple((entry.named, *map(entry.numbers.get, keys)) for entry in published)
     title = f"{result['protocol']}: {task} in papers"
     note = "Of other scenes than those above: the numbers cannot be compared."
     return [Table(title, ("method", *keys), rows, note, aside=True)]
-
-
-def _named(entry: Published) -> str:
-    return f"{entry.method} ({entry.source})"
-
-
-def _numbers(entry: Published, keys: Sequence[str]) -> list[float | None]:
-    return [entry.numbers.get(key) for key in keys]
-
-
-def _padded(first: str, width: int, rest: Iterable[Cell]) -> tuple[Cell, ...]:
-    return (first, *[""] * (width - 1), *rest)
 
 
 def _classes(result: Mapping[str, Any]) -> Table:

@@ -15,7 +15,7 @@ from .codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smalle
 from .codes.mixture import Mixed, SceneAtoms, encode_with
 from .evidence.aggregation import MEAN, Aggregated, Aggregator
 from .evidence.aggregation.entries import canonical
-from .evidence.evidence import Evidence
+from .evidence.evidence import Evidence, csr_of
 from .evidence.provenance import Provenance
 from .growth import Growth
 from .language_field import LanguageField
@@ -63,7 +63,7 @@ class RowCoder:
         return encode_features(features.rows(seen), codebook, threads, track)
 
 
-AT_ONCE = RowCoder()
+AT_ONCE: RowCoder = RowCoder()
 
 
 class Coded(NamedTuple):
@@ -140,9 +140,9 @@ def grown_of(
     wish = None if isinstance(code, Codebook) else code
     # some rows of W, with int32 columns
     rows = evidence.weights[rest_ids]
-    arrays = (rows.data, rows.indices.astype(np.int32), rows.indptr.astype(np.int32))
+    rest = csr_of(rows.indptr, rows.indices.astype(np.int32), rows.data, rows.shape[1])
     return Growth(
-        provenance, wish, rest_ids, csr_array(arrays, shape=rows.shape), learnt.views, learnt.atoms,
+        provenance, wish, rest_ids, rest, learnt.views, learnt.atoms,
         None if learnt.atoms is None else scene_places,
     )  # fmt: skip
 

@@ -6,18 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ..base.arrays import (
-    Doubles,
-    Flags,
-    Float32,
-    FloatRows,
-    IndexRows,
-    Indices,
-    OtherIndices,
-    OtherPoints,
-    Points,
-    Quats,
-)
+from ..base.arrays import Doubles, Float32, FloatRows, IndexRows, Indices, OtherIndices, OtherPoints, Points, Quats
 from ..errors import InputError, MismatchError
 from ..formats.json_files import ids_of
 from ..scene.gaussians import SH_C0, Gaussians
@@ -85,7 +74,14 @@ def carry_field(field: LanguageField, assignment: Assignment) -> LanguageField:
             f"the field is of {field.num_gaussians:,} Gaussians, the assignment of {len(assignment.rows):,}"
         )
     rows = assignment.rows[field.gaussian_ids]
-    check_found(rows >= 0, assignment.reach)
+    lost = int(np.count_nonzero(rows < 0))
+    if lost > MAX_LOST_SHARE * len(rows):
+        raise MismatchError(
+            f"{lost:,} of {len(rows):,} Gaussians with a feature ({lost / len(rows):.1%}) have none of their own in "
+            f"the new scene within {assignment.reach:.3g} units, half the usual distance between neighbours; at most "
+            f"{MAX_LOST_SHARE:.0%} may. It is another scene, or was moved, thinned out or compressed too coarsely: "
+            "give the file that was made of the old scene, or register the new one"
+        )
     order, ids = _ascending(rows)
     evidence, negatives, objects, growth = field.evidence, field.negatives, field.objects, field.growth
     if growth is not None:
@@ -99,18 +95,6 @@ def carry_field(field: LanguageField, assignment: Assignment) -> LanguageField:
         objects=None if objects is None else replace(objects, node_of=objects.node_of[order]),
         growth=growth,
     )  # fmt: skip
-
-
-def check_found(found: Flags, reach: float) -> None:
-    """Refuse to go on where too many are lost. Raises: MismatchError."""
-    lost = int(np.count_nonzero(~found))
-    if lost > MAX_LOST_SHARE * len(found):
-        raise MismatchError(
-            f"{lost:,} of {len(found):,} Gaussians with a feature ({lost / len(found):.1%}) have none of their own in "
-            f"the new scene within {reach:.3g} units, half the usual distance between neighbours; at most "
-            f"{MAX_LOST_SHARE:.0%} may. It is another scene, or was moved, thinned out or compressed too coarsely: "
-            "give the file that was made of the old scene, or register the new one"
-        )
 
 
 def carry_label(label: Label, assignment: Assignment) -> Label | None:

@@ -14,6 +14,7 @@ from ..formats.tensors import check_tensors
 from .codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
 from .codes.mixture import MixtureCode, SceneAtoms, quantised
 from .codes.mixture.dictionary import SCENE_ATOM
+from .evidence.evidence import check_starts, csr_of
 from .evidence.provenance import Provenance
 
 GIVEN = "codebook"
@@ -151,14 +152,9 @@ def growth_from_tensors(
 
 
 def _rest(tensors: ArraysByName, masks: int) -> Sparse:
-    from scipy.sparse import csr_array
-
     indptr, indices, data = (tensors[f"rest_{name}"] for name in ("indptr", "indices", "data"))
-    # SciPy checks neither; it would read where the row starts point.
-    whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
-    if not whole or (indptr[1:] < indptr[:-1]).any():
-        raise InputError(f"row starts do not fit {len(indices)} entries")
-    return csr_array((data, indices, indptr), shape=(len(indptr) - 1, masks))
+    check_starts(indptr, len(indices))
+    return csr_of(indptr, indices, data, masks)
 
 
 def _scene(tensors: ArraysByName) -> tuple[SceneAtoms, np.ndarray]:

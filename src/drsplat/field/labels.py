@@ -120,7 +120,13 @@ class LabelFile:
         entries = as_kind(document.get("labels"), list[_Entry], f"{where}: labels")
         if len(entries) > MAX_LABELS:
             raise FormatError(f"{where}: expected up to {MAX_LABELS:,} labels, got {len(entries):,}. {_CURE}")
-        return tuple(_label(entry, f"{where}: label {number}") for number, entry in enumerate(entries))
+        labels = []
+        for number, (name, scene, center, runs) in enumerate(entries):
+            try:
+                labels.append(Label(name, scene, spans_of_runs(runs, f"{where}: label {number}: runs"), center))
+            except InputError as error:
+                raise FormatError(f"{where}: label {number}: {error}. {_CURE}") from error
+        return tuple(labels)
 
     def add(self, label: Label, instead: Sequence[Label] = ()) -> tuple[Label, ...]:
         """Keep a label, in place of those that it corrects; returns all there are now.
@@ -202,10 +208,3 @@ def _overlaps(label: Label, field: LanguageField) -> list[tuple[int, float, bool
 
 def _same(one: Label, other: Label) -> bool:
     return (one.name, one.scene) == (other.name, other.scene) and np.array_equal(one.spans, other.spans)
-
-
-def _label(entry: "_Entry", where: str) -> Label:
-    try:
-        return Label(entry.name, entry.scene, spans_of_runs(entry.runs, f"{where}: runs"), entry.center)
-    except InputError as error:
-        raise FormatError(f"{where}: {error}. {_CURE}") from error

@@ -5,7 +5,7 @@ what loading costs, and most of it is often not used. See docs/formats.md, Check
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -104,11 +104,6 @@ class StoredField(LanguageField):
     objects = _guarded("objects", OBJECTS)  # type: ignore[assignment]  # read as a whole when first used
     growth = _guarded("growth", GROWTH)  # type: ignore[assignment]  # so is this
 
-    def compared_by(self, checks: Mapping[str, Callable[["StoredField"], None]]) -> "StoredField":
-        """Return this field with checks to run once, before a file's arrays are used."""
-        self.__dict__["_checks"] = dict(checks)
-        return self
-
     def verify(self) -> None:
         """See LanguageField."""
         for file in tuple(self.__dict__.get("_checks", ())):
@@ -137,14 +132,16 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
     path = Path(path)
     manifest = _manifest(path)
     files = {name: _tied(path, name, manifest) for name in manifest.names if name not in LATER}
-    code, evidence = _code(files[CODES], manifest.code), None
+    evidence: Evidence | None = None
+    negatives: Negatives | None = None
+    contrast: WordList | None = None
+    code = _code(files[CODES], manifest.code)
     if search_device != "cpu":
         from .codes.device_code import searched_on
 
         code = searched_on(code, search_device)
     if EVIDENCE in files:
         evidence = evidence_from_tensors(files[EVIDENCE].tensors, files[EVIDENCE].metadata, str(path / EVIDENCE))
-    negatives = contrast = None
     if NEGATIVES in files:
         embeddings = _embeddings(files[NEGATIVES], {"maxima": ("float32", "r")}, manifest.negatives, code.dim)
         negatives = Negatives(manifest.negatives, embeddings, files[NEGATIVES].tensors["maxima"])
@@ -165,7 +162,8 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
             if not (path / name).exists():
                 raise FormatError(f"{path}: incomplete: there is no {name}. {CURE}")
             checks[name] = partial(_LATER_READ[name], path, manifest)
-    return field.compared_by(checks)
+    field.__dict__["_checks"] = checks  # each is done once, before a file's arrays are used
+    return field
 
 
 def verify_field(path: str | os.PathLike[str]) -> list[str]:

@@ -180,7 +180,10 @@ class Registration:
             raise InputError(f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one")
         evidence = with_views(self.evidence, other.evidence)
         left_out = {*self.left_out, *other.left_out} - {*evidence.masks.view_names}
-        merged = _merged_provenance(self, other)
+        merged = None
+        if self.provenance is not None and other.provenance is not None:
+            names = self.masks.view_names + other.masks.view_names
+            merged = self.provenance.with_views(other.provenance, np.argsort(np.array(names, object), kind="stable"))
         up = _between(self.up, other.up) if merged is None else merged.up
         return replace(self, evidence=evidence, up=up, left_out=tuple(sorted(left_out)), provenance=merged)
 
@@ -236,7 +239,8 @@ def register(
     chosen = with_features(views, features)
     gaussians, seen = scene.canonical if isinstance(scene, Moving) else scene, [view for view, _ in chosen]
     warn_of_missing(views, chosen)
-    warn_of_doubts(gaussians, seen)
+    for doubt in doubts(gaussians, seen):
+        warn(doubt, DrSplatWarning, stacklevel=3)
     times = times_of(scene, seen)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
@@ -286,25 +290,29 @@ def with_features(views: Sequence[View], features: Collection[str]) -> list[tupl
     Warns: DrSplatWarning: photos that their masks leave out entirely.
     Raises: InputError: no view has any, or two have the same. FormatError, MismatchError: see `load_mask`.
     """
-    chosen = []
+    owners: dict[str, View] = {}  # of the features by their names
     keys = set(features)  # not `in features`: a folder of them finds one key by several names
     for view in sorted(views, key=lambda v: v.name):
         stem = str(Path(view.name).with_suffix("").as_posix())
         key = next((key for key in (view.name, stem, Path(stem).name) if key in keys), None)
+        if key in owners:
+            raise InputError(
+                f"views '{owners[key].name}' and '{view.name}' both find the features '{key}': name the feature "
+                "files after the whole path of the photo"
+            )
         if key is not None:
-            chosen.append((view, key))
-    _refuse_shared_features(chosen)
-    if not chosen:
+            owners[key] = view
+    if not owners:
         example = next(iter(features), "(there are none)")
         first = views[0].name if views else "(there are none)"
         raise InputError(
             f"no view has features: views are named like '{first}', features like '{example}', so they belong to "
             "other photos: make the features of these with `drsplat embed CAPTURE`"
         )
-    usable = {view.name for view in views_with_something([view for view, _ in chosen])}
+    usable = {view.name for view in views_with_something([*owners.values()])}
     if not usable:
         raise InputError("the masks of all photos leave all of them out: white is kept, and black is left out")
-    return [(view, key) for view, key in chosen if view.name in usable]
+    return [(view, key) for key, view in owners.items() if view.name in usable]
 
 
 def warn_of_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -> None:
@@ -316,22 +324,6 @@ def warn_of_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -
             DrSplatWarning,
             stacklevel=4,
         )
-
-
-def warn_of_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
-    for doubt in doubts(gaussians, views):
-        warn(doubt, DrSplatWarning, stacklevel=4)
-
-
-def _refuse_shared_features(chosen: Sequence[tuple[View, str]]) -> None:
-    owner: dict[str, str] = {}
-    for view, key in chosen:
-        if key in owner:
-            raise InputError(
-                f"views '{owner[key]}' and '{view.name}' both find the features '{key}': name the feature "
-                "files after the whole path of the photo"
-            )
-        owner[key] = view.name
 
 
 def check_one_size(sizes: Mapping[int, str]) -> None:
@@ -372,11 +364,3 @@ def _between(one: Vector3 | None, other: Vector3 | None) -> Vector3 | None:
     total = one + other
     length = float(np.linalg.norm(total))
     return total / length if length > 1 else None
-
-
-def _merged_provenance(one: Registration, other: Registration) -> Provenance | None:
-    """Return the provenance of both registrations' views, by name; None where one is unknown."""
-    if one.provenance is None or other.provenance is None:
-        return None
-    order = np.argsort(np.array(one.masks.view_names + other.masks.view_names, object), kind="stable")
-    return one.provenance.with_views(other.provenance, order)

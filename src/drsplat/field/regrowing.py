@@ -21,7 +21,7 @@ from .codes.mixture import Mixed, MixtureCode, regrown_mixture
 from .evidence.aggregation import MEAN, aggregator
 from .evidence.aggregation.entries import canonical, with_weights
 from .evidence.changing import REMOVED_COLUMN
-from .evidence.evidence import Evidence, MaskIds
+from .evidence.evidence import Evidence, MaskIds, csr_of
 from .evidence.provenance import Provenance
 from .growth import Growth
 from .language_field import LanguageField
@@ -43,9 +43,7 @@ def whole_evidence(field: LanguageField) -> Evidence:
         kept, ids = csr_array(kept[order]), ids[order]
     starts = np.zeros(field.num_gaussians + 1, np.int64)
     starts[1 + ids] = np.diff(kept.indptr)
-    indptr = np.cumsum(starts).astype(kept.indptr.dtype)  # of another type, SciPy copies all
-    shape = (field.num_gaussians, kept.shape[1])
-    weights = csr_array((kept.data, kept.indices, indptr), shape=shape)
+    weights = csr_of(np.cumsum(starts), kept.indices, kept.data, kept.shape[1])
     return Evidence(weights, field.evidence.masks, field.evidence.embeddings)
 
 
@@ -135,7 +133,8 @@ def _coded_again(
     norms = np.concatenate([field.code.inverse_norms[rows], field.codebook.inverse_norms(codes)])
     order = np.argsort(np.concatenate([ids[: len(rows)], ids[len(rows) :][directed]]))
     both = zip(field.code.codes(rows), codes, strict=True)
-    joined = Codes(*(None if new is None else np.concatenate([old, new])[order] for old, new in both))
+    arrays = [None if new is None else np.concatenate([old, new])[order] for old, new in both]
+    joined = Codes(*arrays)  # type: ignore[arg-type]  # that codes are never None is not told of both at once
     return Coded(pq_code(field.codebook, joined, norms[order]), directed)
 
 
@@ -159,7 +158,11 @@ def field_during(
     some = with_weights(evidence, np.where(entries, weights.data, np.float32(0)))
     how = aggregator(field.aggregator.name)
     aggregated = replace(how(some, gaussians, threads=threads), record=field.aggregator)
-    made = build_field(some, field.scene, field.encoder, _code(field), aggregated=aggregated, threads=threads)
+    wish = None if field.growth is None else field.growth.code
+    code: PQ | Mixture | Codebook = Mixture() if wish is None or isinstance(wish, PQ) else Mixture(wish.atoms)
+    if isinstance(field.code, PQCode):
+        code = field.code.codebook
+    made = build_field(some, field.scene, field.encoder, code, aggregated=aggregated, threads=threads)
     return replace(made, up=field.up, left_out=field.left_out).with_words_of(field, threads=threads)
 
 
@@ -177,11 +180,3 @@ def views_during(field: LanguageField, during: Span) -> Flags:
             f"{field.times.max():g}"
         )
     return inside
-
-
-def _code(field: LanguageField) -> PQ | Mixture | Codebook:
-    """Return the specification of the field's code: its codebook, or as many masks for each row."""
-    if isinstance(field.code, PQCode):
-        return field.code.codebook
-    wish = None if field.growth is None else field.growth.code
-    return Mixture() if wish is None or isinstance(wish, PQ) else Mixture(wish.atoms)

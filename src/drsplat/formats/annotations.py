@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from ..base.arrays import Matrix3, Vector3
 from ..base.contents import AnyPath
@@ -60,7 +60,8 @@ class AnnotationFile:
             {
                 "type": "Feature",
                 "geometry": {"type": "Point", "coordinates": one.center.tolist()},
-                "properties": {"text": one.text} | _outline_json(one.outline),
+                "properties": {"text": one.text}
+                | ({} if one.outline is None else {name: box.tolist() for name, box in one.outline._asdict().items()}),
             }
             for one in annotations
         ]
@@ -126,7 +127,3 @@ def _annotation(feature: _Feature, where: str) -> Annotation:
         return Annotation(text, feature.geometry.coordinates, outline)
     except InputError as error:
         raise FormatError(f"{where}: {error}") from error
-
-
-def _outline_json(outline: Outline | None) -> dict[str, Any]:
-    return {} if outline is None else {"axes": outline.axes.tolist(), "extent": outline.extent.tolist()}

@@ -45,8 +45,6 @@ def read_rows(path: Path, columns: tuple[str, ...], each: str) -> list[list[str]
 
     try:
         rows = list(csv.reader(file_text(path).splitlines(), strict=True))
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise FormatError(f"{path}: expected a table in UTF-8: {error}") from None
     if not rows or tuple(cell.strip() for cell in rows[0]) != columns or len(rows) > MAX_ROWS:

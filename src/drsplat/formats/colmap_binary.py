@@ -7,18 +7,15 @@ Records of a COLMAP model, whether in text or in binary.
 Source: https://colmap.github.io/format.html and COLMAP's list of camera models.
 """
 
-import mmap
-import os
 import struct
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..base.arrays import Colors, Points
-from ..base.contents import MAX_READ_BYTES, open_file
+from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.views import View
 from .poses import cure_of
@@ -86,8 +83,8 @@ _MAX_NAME_BYTES = 4096
 class _Cursor:
     """A position in a file that never leaves it."""
 
-    def __init__(self, path: Path, content: mmap.mmap | bytes) -> None:
-        self.path, self._content, self._at = path, content, 0
+    def __init__(self, path: Path) -> None:
+        self.path, self._content, self._at = path, file_bytes(path).data, 0
 
     def take(self, layout: struct.Struct) -> tuple[Any, ...]:
         start = self._at
@@ -105,10 +102,10 @@ class _Cursor:
         return int(count)
 
     def name(self) -> str:
-        end = self._content.find(b"\0", self._at, self._at + _MAX_NAME_BYTES)
-        if end < 0:
+        raw, end, _ = bytes(self._content[self._at : self._at + _MAX_NAME_BYTES]).partition(b"\0")
+        if not end:
             raise FormatError(f"{self.path}: an image name at byte {self._at} does not end")
-        raw, self._at = self._content[self._at : end], end + 1
+        self._at += len(raw) + 1
         try:
             return raw.decode("utf-8")
         except UnicodeDecodeError as error:
@@ -129,44 +126,34 @@ class _Cursor:
             )
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[_Cursor]:
-    with open_file(path) as file:
-        if os.fstat(file.fileno()).st_size <= MAX_READ_BYTES:
-            yield _Cursor(path, file.read())
-        else:
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                yield _Cursor(path, content)
-
-
 def cameras(path: Path) -> Iterator[CameraRecord]:
-    with _opened(path) as cursor:
-        for _ in range(cursor.count(CAMERA.size)):
-            camera_id, model_id, width, height = map(int, cursor.take(CAMERA))
-            model = MODEL_NAMES[model_id] if 0 <= model_id < len(MODEL_NAMES) else f"id {model_id}"
-            num_parameters = len(parameter_names(model, f"{path}, camera {camera_id}"))
-            parameters = cursor.take(struct.Struct(f"<{num_parameters}d"))
-            yield CameraRecord(camera_id, model, width, height, parameters)
-        cursor.finish()
+    cursor = _Cursor(path)
+    for _ in range(cursor.count(CAMERA.size)):
+        camera_id, model_id, width, height = map(int, cursor.take(CAMERA))
+        model = MODEL_NAMES[model_id] if 0 <= model_id < len(MODEL_NAMES) else f"id {model_id}"
+        num_parameters = len(parameter_names(model, f"{path}, camera {camera_id}"))
+        parameters = cursor.take(struct.Struct(f"<{num_parameters}d"))
+        yield CameraRecord(camera_id, model, width, height, parameters)
+    cursor.finish()
 
 
 def images(path: Path) -> Iterator[ImageRecord]:
-    with _opened(path) as cursor:
-        for _ in range(cursor.count(IMAGE.size + 1 + COUNT.size)):
-            _, w, x, y, z, tx, ty, tz, camera_id = cursor.take(IMAGE)
-            name = cursor.name()
-            cursor.skip(cursor.count(_OBSERVATION_BYTES) * _OBSERVATION_BYTES)
-            yield ImageRecord(name, (w, x, y, z), (tx, ty, tz), int(camera_id))
-        cursor.finish()
+    cursor = _Cursor(path)
+    for _ in range(cursor.count(IMAGE.size + 1 + COUNT.size)):
+        _, w, x, y, z, tx, ty, tz, camera_id = cursor.take(IMAGE)
+        name = cursor.name()
+        cursor.skip(cursor.count(_OBSERVATION_BYTES) * _OBSERVATION_BYTES)
+        yield ImageRecord(name, (w, x, y, z), (tx, ty, tz), int(camera_id))
+    cursor.finish()
 
 
 def points(path: Path) -> Iterator[PointRecord]:
-    with _opened(path) as cursor:
-        for _ in range(cursor.count(POINT.size)):
-            _, x, y, z, r, g, b, _, track = cursor.take(POINT)
-            cursor.skip(int(track) * _TRACK_BYTES)
-            yield x, y, z, int(r), int(g), int(b)
-        cursor.finish()
+    cursor = _Cursor(path)
+    for _ in range(cursor.count(POINT.size)):
+        _, x, y, z, r, g, b, _, track = cursor.take(POINT)
+        cursor.skip(int(track) * _TRACK_BYTES)
+        yield x, y, z, int(r), int(g), int(b)
+    cursor.finish()
 
 
 def write_colmap(model: Path, views: Sequence[View], positions: Points, colors: Colors) -> None:

@@ -237,9 +237,7 @@ def verify_embedding(folder: Path) -> list[str]:
     path = folder / FILE_NAME
     if not path.is_file():
         return []
-    document = read_json(path)
-    if not isinstance(document, dict) or set(document) != {"format", "settings", "photos"}:  # written by older versions
-        check_document(path)
+    check_document(path)
     _, finished = _read(path)
     names = {f"{stem}{COMPACT if entry.form == 'compact' else EMBEDDINGS}": entry for stem, entry in finished.items()}
     for name, entry in names.items():
@@ -250,7 +248,7 @@ def verify_embedding(folder: Path) -> list[str]:
 
 
 def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
-    """Return the identity that `identity_json` wrote; files of older versions have no preprocessing.
+    """Return the identity that `identity_json` wrote.
 
     Raises: FormatError: not an object of name, dim and weights.
     """
@@ -263,7 +261,7 @@ def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
 def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
     document = as_document(read_json(path), str(path), FORMAT, cure=_CURE)
     settings, photos = as_fields(document, str(path), settings=dict[str, object], photos=dict[str, object]).values()
-    check_seal(document, f"{path}", required=False, cure=_CURE)
+    check_seal(document, f"{path}", cure=_CURE)
     for change in changes_to(path.with_name(JOURNAL), str(document.get(DOCUMENT)), _CURE):
         photos[str(change.get("stem"))] = change.get("finished")
     entries = {stem: _entry(value) for stem, value in photos.items()}

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Embeddings, Float32, Numbers
+from ..base.arrays import ByteValues, Embeddings, Float32, Numbers
 from ..base.contents import AnyPath, file_bytes, open_file
-from ..errors import FormatError, InputError
+from ..errors import FormatError
 
 _PLAIN = {b"IxPq", b"IxPQ"}
 _FLAT = {b"IxFI", b"IxF2", b"IxFl"}
@@ -30,14 +30,14 @@ class FaissQuantizer(NamedTuple):
 class _Bytes:
     """A cursor that refuses to read past the end."""
 
-    def __init__(self, content: bytes, path: Path) -> None:
+    def __init__(self, content: ByteValues, path: Path) -> None:
         self._content, self._path, self._at = content, path, 0
 
     def take(self, count: int) -> bytes:
         if count > len(self._content) - self._at:
             raise FormatError(f"{self._path}: truncated FAISS index: {count} bytes wanted at byte {self._at}")
         self._at += count
-        return self._content[self._at - count : self._at]
+        return self._content[self._at - count : self._at].tobytes()
 
     def number(self, size: int) -> int:
         return int.from_bytes(self.take(size), "little")
@@ -63,12 +63,10 @@ def read_faiss_quantizer(path: AnyPath) -> FaissQuantizer:
     bits per code, or centroids that are not finite.
     """
     path = Path(path)
-    try:
-        if path.stat().st_size > _MAX_FILE_BYTES:
-            raise FormatError(f"{path}: no product quantiser is that large")
-        source = _Bytes(file_bytes(path).tobytes(), path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
+    content = file_bytes(path)
+    if content.size > _MAX_FILE_BYTES:
+        raise FormatError(f"{path}: no product quantiser is that large")
+    source = _Bytes(content, path)
     kind = source.take(4)
     if kind in _PLAIN:
         dim, coarse = _index_header(source), None

@@ -337,10 +337,9 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
     vertex, chunk = tables["vertex"], tables["chunk"]
     if len(chunk) != -(-len(vertex) // CHUNK_ROWS):
         raise FormatError(f"{len(vertex)} packed Gaussians need a chunk per {CHUNK_ROWS}, got {len(chunk)} chunks")
-    colour = _unpack(_packed(vertex, 3), (24, 16, 8, 0), (8, 8, 8, 8))
-    means = _unpack(_packed(vertex, 0), (21, 11, 0), (11, 10, 11))
+    position, rotation, scale, colours = (vertex[name].astype(np.uint32) for name in PACKED)
+    means, log_scales, colour = _unpack(position, 11, 10, 11), _unpack(scale, 11, 10, 11), _unpack(colours, 8, 8, 8, 8)
     _within_chunks(means, gather(chunk, POSITION_BOUNDS))
-    log_scales = _unpack(_packed(vertex, 2), (21, 11, 0), (11, 10, 11))
     _within_chunks(log_scales, gather(chunk, SCALE_BOUNDS))
     if set(COLOUR_BOUNDS) <= set(chunk.dtype.names or ()):
         _within_chunks(colour[:, :3], gather(chunk, COLOUR_BOUNDS))
@@ -348,20 +347,14 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
     sh[:, 0] = (colour[:, :3] - 0.5) / SH_C0
     if rest:
         # Turn bytes into [-4, 4]: 0 and 255 are the ends of it, all others the middle of their step
-        table = tables["sh"]
-        into = sh[:, 1:]
         steps = (np.arange(256, dtype=np.float32) + np.float32(0.5)) / 32 - 4
         steps[[0, 255]] = -4, 4
         for place, name in enumerate(rest):
-            into[:, place // 3, place % 3] = steps[table[name]]
+            sh[:, 1 + place // 3, place % 3] = steps[tables["sh"][name]]
+    three = (_unpack(rotation, 10, 10, 10) - np.float32(0.5)) * np.float32(np.sqrt(2))
+    quats = from_smallest_three(three, rotation >> np.uint32(30))
     extra = extra_columns(vertex, set(PACKED))
-    scales = exp(log_scales)
-    packed = _packed(vertex, 1)
-    three = (_unpack(packed, (20, 10, 0), (10, 10, 10)) - np.float32(0.5)) * np.float32(np.sqrt(2))
-    return drawn_as_marked(
-        checked(means, from_smallest_three(three, packed >> np.uint32(30)), scales, colour[:, 3].copy(), sh, extra),
-        header,
-    )
+    return drawn_as_marked(checked(means, quats, exp(log_scales), colour[:, 3].copy(), sh, extra), header)
 
 
 def _require(header: Header, element: str, names: tuple[str, ...], code: str) -> None:
@@ -386,16 +379,12 @@ def _packed_rest_names(header: Header) -> list[str]:
     return names
 
 
-def _packed(vertex: Records, which: int) -> UnsignedIds:
-    return vertex[PACKED[which]].astype(np.uint32)
-
-
-def _unpack(packed: UnsignedIds, shifts: tuple[int, ...], bits: tuple[int, ...]) -> FloatRows:
-    """Return bit fields as fractions of their range."""
-    result = np.empty((len(packed), len(shifts)), np.float32)
-    for column, (shift, width) in enumerate(zip(shifts, bits, strict=True)):
-        limit = (1 << width) - 1
-        np.divide((packed >> np.uint32(shift)) & np.uint32(limit), limit, out=result[:, column], casting="unsafe")
+def _unpack(packed: UnsignedIds, *bits: int) -> FloatRows:
+    """Return bit fields, the highest first, as fractions of their range."""
+    result = np.empty((len(packed), len(bits)), np.float32)
+    for column, width in enumerate(bits):
+        field = packed >> np.uint32(sum(bits[column + 1 :])) & np.uint32((1 << width) - 1)
+        np.divide(field, (1 << width) - 1, out=result[:, column], casting="unsafe")
     return result
 
 

@@ -7,7 +7,7 @@ the world that it was written from, to the bit.
 Source: as of `glb_layout`; KHR_gaussian_splatting_compression_spz_2 (draft).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +16,10 @@ from ..base.arrays import Arrays, Ids, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import MIN_SIZED_GAUSSIANS, Gaussians, concatenated, local_origin
-from ..scene.similarity import similarity_of
+from ..scene.similarity import Similarity, similarity_of
 from .activation import checked
 from .axes import HALF_TURN
-from .glb_tables import ObjectName, labels_of_tables, object_names, object_numbers
+from .glb_tables import labels_of_tables, object_names, object_numbers
 from .gltf import (
     BYTE,
     COLOR_SPACE,
@@ -58,6 +58,7 @@ UNDERSTOOD = (SPLATTING, SPZ, FEATURES, METADATA, "KHR_mesh_quantization", "KHR_
 MIN_ROW_BYTES = 3  # of its position
 FREE_SPZ_ROWS = 100_000  # that any SPZ may unfold to, besides the following for each byte of the file
 SPZ_ROWS_PER_BYTE = 12
+_FROM_SPZ = Similarity(1.0, HALF_TURN, np.zeros(3))  # whose reader turned it into a PLY's axes
 
 
 def read_glb(path: Path) -> Gaussians:
@@ -68,8 +69,8 @@ def read_glb(path: Path) -> Gaussians:
     return _gaussians(gltf_in(file_bytes(path).data, path.parent))
 
 
-def names_in_glb(path: Path) -> list[ObjectName]:
-    """Return the objects of a `.glb` or a `.gltf` with their names, [] where it has none.
+def names_in_glb(path: Path) -> list[tuple[int, str]]:
+    """Return number and name of each object of a `.glb` or a `.gltf`, [] where it has none.
 
     Raises: InputError: nothing at `path`. FormatError: it is damaged.
     """
@@ -100,62 +101,41 @@ def _gaussians(gltf: Gltf) -> Gaussians:
     unknown = [name for name in gltf.entries("extensionsRequired") if name not in UNDERSTOOD]
     if unknown:
         raise FormatError(f"glTF needs the extension {excerpt(unknown[0])}, which is not read: export it without")
-    budget = _Budget(gltf.num_bytes)
-    parts = [
-        _placed(_of_primitive(gltf, primitive, budget), to_world)
-        for mesh, to_world in placed_meshes(gltf)
-        for primitive in listed(gltf.entry("meshes", mesh), "primitives", "a mesh")
-        if SPLATTING in inner(primitive, "extensions")
-    ]
+    parts: list[Gaussians] = []
+    size = gltf.num_bytes
+    # the same bytes may be named many times over, and an SPZ unfolds
+    plain, unfolded = 0, 0
+    used: set[int] = set()
+    for mesh, to_world in placed_meshes(gltf):
+        for primitive in listed(gltf.entry("meshes", mesh), "primitives", "a mesh"):
+            if SPLATTING not in inner(primitive, "extensions"):
+                continue
+            extension, attributes = inner(primitive, "extensions", SPLATTING), inner(primitive, "attributes")
+            _check_meaning(primitive, extension)
+            if compressed := inner(extension, "extensions", SPZ):
+                view = whole_number(compressed.get("bufferView"), f"{SPZ}: bufferView")
+                if view in used:
+                    raise FormatError(f"glTF: bufferViews[{view}] is the SPZ of two primitives: expected one of each")
+                used.add(view)
+                gaussians = _FROM_SPZ.moved(parse_spz(gltf.view(view)))
+                unfolded += len(gaussians)
+                if unfolded > FREE_SPZ_ROWS + SPZ_ROWS_PER_BYTE * size:
+                    raise FormatError(f"glTF: {unfolded:,} Gaussians of {size:,} bytes of SPZ: damaged")
+            else:
+                plain += _count(gltf, attributes)
+                if plain * MIN_ROW_BYTES > size:
+                    raise FormatError(f"glTF: {plain:,} Gaussians do not fit into {size:,} bytes: damaged")
+                gaussians = _of_attributes(gltf, attributes)
+            extra = _columns(gltf, primitive, attributes, len(gaussians))
+            parts.append(_placed(replace(gaussians, extra=extra), to_world))
     if not parts:
         raise FormatError(f"glTF has no primitive with {SPLATTING}: it is a mesh or points, and no Gaussians")
+    marked = any(inner(node, "extras", OURS).get("antialiased") is True for node in gltf.entries("nodes"))
+    parts = [replace(part, antialiased=part.antialiased or marked) for part in parts]
     try:
         return parts[0] if len(parts) == 1 else concatenated(parts)
     except InputError as error:
         raise FormatError(str(error)) from None
-
-
-@dataclass
-class _Budget:
-    """How many rows a file may unfold to: the same bytes may be named many times over. size: bytes of all buffers."""
-
-    size: int
-    plain: int = 0
-    unfolded: int = 0
-    used: set[int] = field(default_factory=set)
-
-    def add_plain(self, rows: int) -> None:
-        """Count rows of plain numbers. Raises: FormatError: more than the bytes can hold."""
-        self.plain += rows
-        if self.plain * MIN_ROW_BYTES > self.size:
-            raise FormatError(f"glTF: {self.plain:,} Gaussians do not fit into {self.size:,} bytes: damaged")
-
-    def use(self, view: int) -> None:
-        """Take note of an SPZ. Raises: FormatError: it is named twice."""
-        if view in self.used:
-            raise FormatError(f"glTF: bufferViews[{view}] is the SPZ of two primitives: expected one of each")
-        self.used.add(view)
-
-    def add_unfolded(self, rows: int) -> None:
-        """Count rows of an SPZ. Raises: FormatError: more than are plausible of the bytes."""
-        self.unfolded += rows
-        if self.unfolded > FREE_SPZ_ROWS + SPZ_ROWS_PER_BYTE * self.size:
-            raise FormatError(f"glTF: {self.unfolded:,} Gaussians of {self.size:,} bytes of SPZ: damaged")
-
-
-def _of_primitive(gltf: Gltf, primitive: Entry, budget: _Budget) -> Gaussians:
-    """Return the Gaussians of a primitive in its own axes."""
-    extension = inner(primitive, "extensions", SPLATTING)
-    _check_meaning(primitive, extension)
-    attributes = inner(primitive, "attributes")
-    compressed = inner(extension, "extensions", SPZ)
-    gaussians = _of_spz(gltf, compressed, budget) if compressed else _of_attributes(gltf, attributes, budget)
-    extra = _columns(gltf, primitive, attributes, len(gaussians))
-    return replace(gaussians, extra=extra, antialiased=gaussians.antialiased or _is_antialiased(gltf))
-
-
-def _is_antialiased(gltf: Gltf) -> bool:
-    return any(inner(node, "extras", OURS).get("antialiased") is True for node in gltf.entries("nodes"))
 
 
 def _check_meaning(primitive: Entry, extension: Entry) -> None:
@@ -173,41 +153,29 @@ def _check_meaning(primitive: Entry, extension: Entry) -> None:
         raise FormatError(f"glTF: colours of {excerpt(space)}; {COLOR_SPACE} can be read")
 
 
-def _of_spz(gltf: Gltf, compressed: Entry, budget: _Budget) -> Gaussians:
-    view = whole_number(compressed.get("bufferView"), f"{SPZ}: bufferView")
-    budget.use(view)
-    gaussians = parse_spz(gltf.view(view))
-    budget.add_unfolded(len(gaussians))
-    matrix = np.eye(4)
-    matrix[:3, :3] = HALF_TURN
-    return similarity_of(matrix).moved(gaussians)  # the reader of SPZ turned it into a PLY's axes
-
-
-def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
+def _count(gltf: Gltf, attributes: Entry) -> int:
     missing = [name for name in (POSITION, ROTATION, SCALE, OPACITY, HARMONICS[0]) if name not in attributes]
     if missing:
         raise FormatError(f"glTF: splats without {', '.join(missing)}: export it again with a newer program")
-    budget.add_plain(whole_number(gltf.entry("accessors", attributes[POSITION]).get("count"), "count"))
-    floats = (FLOAT,)
+    return whole_number(gltf.entry("accessors", attributes[POSITION]).get("count"), "count")
+
+
+def _of_attributes(gltf: Gltf, attributes: Entry) -> Gaussians:
     means = gltf.values(attributes[POSITION], "VEC3", POSITION)
     quats = gltf.values(attributes[ROTATION], "VEC4", ROTATION, (FLOAT, BYTE, SHORT))[:, [3, 0, 1, 2]]
     scales = gltf.values(attributes[SCALE], "VEC3", SCALE, (FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT, BYTE, SHORT))
     opacities = gltf.values(attributes[OPACITY], "SCALAR", OPACITY, (FLOAT, UNSIGNED_BYTE, UNSIGNED_SHORT))[:, 0]
-    lengths = {len(column) for column in (means, quats, scales, opacities)}
-    # The names of the harmonics that are there
-    there = [name in attributes for name in HARMONICS]
-    count = sum(there)
-    if count not in (1, 4, 9, 16) or not all(there[:count]):
+    count = sum(name in attributes for name in HARMONICS)
+    if count not in (1, 4, 9, 16) or not all(name in attributes for name in HARMONICS[:count]):
         raise FormatError(f"glTF: {count} coefficients of harmonics: expected 1, 4, 9 or 16, the lowest degrees first")
-    coefficients = HARMONICS[:count]
-    sh = np.empty((len(means), len(coefficients), 3), np.float32)
-    for number, name in enumerate(coefficients):
-        values = gltf.values(attributes[name], "VEC3", name, floats)
+    sh, lengths = np.empty((len(means), count, 3), np.float32), {len(quats), len(scales), len(opacities)}
+    for number, name in enumerate(HARMONICS[:count]):
+        values = gltf.values(attributes[name], "VEC3", name, (FLOAT,))
         lengths.add(len(values))
         if len(values) == len(sh):
             sh[:, number] = values
-    if len(lengths) > 1:
-        raise FormatError(f"glTF: attributes of one primitive with {sorted(lengths)} rows: damaged")
+    if lengths != {len(sh)}:
+        raise FormatError(f"glTF: attributes of one primitive with {sorted({len(sh), *lengths})} rows: damaged")
     # sound Gaussians; unit rotations stay as they are. Raises: FormatError: rows that are none.
     negative = int((scales < 0).any(1).sum())
     if negative:

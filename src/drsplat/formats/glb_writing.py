@@ -9,10 +9,10 @@ Source: as of `glb_layout`; README of each extension for the layout of tables an
 """
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from ..errors import InputError
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import Annotation, LabelledScene, Thing
 from .axes import standing_up
-from .glb_tables import Table, tables_of
+from .glb_tables import Columns, tables_of
 from .gltf import (
     BINARY_CHUNK,
     CHUNK,
@@ -55,51 +55,32 @@ from .gltf import (
 )
 from .replacing import replacing
 
-
-class NamedNodes(NamedTuple):
-    """Nodes of boxes. roots: numbers of those that hang at the world's node."""
-
-    nodes: list[Document]
-    roots: list[int]
-
-
 BLOCK_ROWS = 1 << 14  # that are converted at once
 ARRAY_BUFFER = 34962
 NO_OBJECT_SHORT, NO_OBJECT_FLOAT = 2**16 - 1, 2**24 - 1  # the last numbers that both can hold
 ALIGNMENT_BYTES = 8  # of parts of the file, so that tables of 64-bit numbers may follow
+SPLAT_KINDS = {  # of attributes; those of harmonics follow
+    POSITION: ("VEC3", FLOAT), COLOR: ("VEC4", UNSIGNED_BYTE), ROTATION: ("VEC4", FLOAT), SCALE: ("VEC3", FLOAT),
+    OPACITY: ("SCALAR", FLOAT),
+}  # fmt: skip
 Rows = Callable[[slice], np.ndarray]
-
-
-class Part(NamedTuple):
-    """Rows of bytes that are made when they are written."""
-
-    num_rows: int
-    row_bytes: int
-    rows: Rows
-
-    @property
-    def size(self) -> int:
-        return self.num_rows * self.row_bytes
-
-    def blocks(self) -> Iterator[bytes]:
-        for begin in range(0, self.num_rows, BLOCK_ROWS):
-            yield np.ascontiguousarray(self.rows(slice(begin, begin + BLOCK_ROWS))).tobytes()
 
 
 @dataclass
 class Binary:
     """The binary chunk while it is laid out: its parts, and the views and accessors of the document into them."""
 
-    parts: list[Part] = field(default_factory=list)
+    parts: list[tuple[int, int, Rows]] = field(default_factory=list)
     views: list[Document] = field(default_factory=list)
     accessors: list[Document] = field(default_factory=list)
     size: int = 0
 
-    def view(self, part: Part, **more: Any) -> int:
-        """Append a part; returns the number of its view."""
-        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": part.size, **more})
-        self.parts.append(part)
-        self.size += -(-part.size // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
+    def view(self, num_rows: int, row_bytes: int, rows: Rows, **more: Any) -> int:
+        """Append rows of bytes that are made when they are written; returns the number of their view."""
+        size = num_rows * row_bytes
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": size, **more})
+        self.parts.append((num_rows, row_bytes, rows))
+        self.size += -(-size // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
         return len(self.views) - 1
 
     def attribute(self, count: int, kind: str, component: int, rows: Rows, **more: Any) -> int:
@@ -113,7 +94,7 @@ class Binary:
             return whole.astype(dtype, copy=False)
 
         row_bytes = words * dtype.itemsize
-        view = self.view(Part(count, row_bytes, padded), byteStride=row_bytes, target=ARRAY_BUFFER)
+        view = self.view(count, row_bytes, padded, byteStride=row_bytes, target=ARRAY_BUFFER)
         accessor = {"bufferView": view, "componentType": component, "count": count, "type": kind, **more}
         self.accessors.append(accessor)
         return len(self.accessors) - 1
@@ -121,13 +102,14 @@ class Binary:
     def column(self, values: Array) -> int:
         """Append a column of a table; returns the number of its view."""
         raw = np.frombuffer(values.tobytes() or b"\0", np.uint8)  # a view has a byte at least
-        return self.view(Part(len(raw), 1, lambda rows: raw[rows]))
+        return self.view(len(raw), 1, lambda rows: raw[rows])
 
     def blocks(self) -> Iterator[bytes]:
         """Yield the chunk, a block of rows at a time."""
-        for part in self.parts:
-            yield from part.blocks()
-            yield bytes(-part.size % ALIGNMENT_BYTES)
+        for num_rows, row_bytes, rows in self.parts:
+            for begin in range(0, num_rows, BLOCK_ROWS):
+                yield np.ascontiguousarray(rows(slice(begin, begin + BLOCK_ROWS))).tobytes()
+            yield bytes(-num_rows * row_bytes % ALIGNMENT_BYTES)
 
 
 def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
@@ -208,17 +190,21 @@ def _primitive(scene: LabelledScene, binary: Binary) -> Document:
 
 def _splat_attributes(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
     """Lay out what KHR_gaussian_splatting asks for, and the colours of points for programs that do not know it."""
-    g, count = gaussians, len(gaussians)
-    bounds = {"min": g.means.min(0).tolist(), "max": g.means.max(0).tolist()}
+    g = gaussians
+    further = {POSITION: {"min": g.means.min(0).tolist(), "max": g.means.max(0).tolist()}, COLOR: {"normalized": True}}
+    rows_of: dict[str, Rows] = {
+        POSITION: lambda rows: g.means[rows],
+        COLOR: lambda rows: _point_colors(g, rows),
+        ROTATION: lambda rows: g.quats[rows][:, [1, 2, 3, 0]],
+        SCALE: lambda rows: g.scales[rows],
+        OPACITY: lambda rows: g.opacities[rows],
+    }
     attributes = {
-        POSITION: binary.attribute(count, "VEC3", FLOAT, lambda rows: g.means[rows], **bounds),
-        COLOR: binary.attribute(count, "VEC4", UNSIGNED_BYTE, lambda rows: _point_colors(g, rows), normalized=True),
-        ROTATION: binary.attribute(count, "VEC4", FLOAT, lambda rows: g.quats[rows][:, [1, 2, 3, 0]]),
-        SCALE: binary.attribute(count, "VEC3", FLOAT, lambda rows: g.scales[rows]),
-        OPACITY: binary.attribute(count, "SCALAR", FLOAT, lambda rows: g.opacities[rows]),
+        name: binary.attribute(len(g), *kind, rows_of[name], **further.get(name, {}))
+        for name, kind in SPLAT_KINDS.items()
     }
     for number, name in enumerate(HARMONICS[: g.sh.shape[1]]):
-        attributes[name] = binary.attribute(count, "VEC3", FLOAT, _coefficient(g.sh, number))
+        attributes[name] = binary.attribute(len(g), "VEC3", FLOAT, _coefficient(g.sh, number))
     return attributes
 
 
@@ -251,22 +237,20 @@ def features_of(objects: Ids, count: int, binary: Binary) -> tuple[int, Document
     return accessor, {"featureIds": [described]}
 
 
-def tables_document(tables: Sequence[Table], binary: Binary) -> Document:
+def tables_document(tables: Mapping[str, Columns], binary: Binary) -> Document:
     """Lay out tables; returns the document's object of EXT_structural_metadata, {} without tables."""
-    if not tables:
-        return {}
-    classes = {table.kind: {"properties": table.properties} for table in tables}
-    rows = [_table(table, binary) for table in tables]
-    return {"schema": {"id": "drsplat", "classes": classes}, "propertyTables": rows}
-
-
-def _table(table: Table, binary: Binary) -> Document:
-    properties = {
-        name: {"values": binary.column(column.values)}
-        | ({} if column.offsets is None else {"stringOffsets": binary.column(column.offsets)})
-        for name, column in table.columns.items()
-    }
-    return {"name": table.name, "class": table.kind, "count": table.num_rows, "properties": properties}
+    classes: Document = {}
+    entries: list[Document] = []
+    for name, columns in tables.items():
+        properties = {
+            key: {"values": binary.column(values)}
+            | ({} if offsets is None else {"stringOffsets": binary.column(offsets)})
+            for key, (_, values, offsets) in columns.items()
+        }
+        kind, count = name.removesuffix("s"), len(columns["score"][1])
+        classes[kind] = {"properties": {key: described for key, (described, *_) in columns.items()}}
+        entries.append({"name": name, "class": kind, "count": count, "properties": properties})
+    return {"schema": {"id": "drsplat", "classes": classes}, "propertyTables": entries} if tables else {}
 
 
 def _nodes(scene: LabelledScene) -> list[Document]:
@@ -277,30 +261,19 @@ def _nodes(scene: LabelledScene) -> list[Document]:
     splats: Document = {"name": "splats", "mesh": 0}
     if scene.gaussians.origin.any():
         splats["translation"] = scene.gaussians.origin.tolist()
-    boxes = named_nodes(scene, first=2)
-    rotation = rotation_xyzw(standing_up(np.array(scene.up, np.float64)))
-    root = {"name": scene.title, "rotation": rotation, "children": [1, *boxes.roots], "extras": {OURS: own}}
-    return [root, splats, *boxes.nodes]
-
-
-def named_nodes(scene: LabelledScene, first: int) -> NamedNodes:
-    """Return a node "matches" and a node "annotations", where there are some, with a child for each.
-
-    A child is a unit cube about zero that its rotation, scale and translation make the box; a point has a translation
-    alone. first: number of the first node.
-    """
+    # a node "matches" and a node "annotations", where there are some, with a child for each
     kinds = {
         "matches": [_match(match, scene.query) for match in scene.matches],
         "annotations": [_annotation(one) for one in scene.annotations],
     }
-    nodes: list[Document] = []
-    roots: list[int] = []
+    nodes, roots = [splats], [1]
     for name, children in kinds.items():
         if children:
-            number = first + len(nodes)
+            number = 1 + len(nodes)
             roots.append(number)
             nodes += [{"name": name, "children": list(range(number + 1, number + 1 + len(children)))}, *children]
-    return NamedNodes(nodes, roots)
+    rotation = rotation_xyzw(standing_up(np.array(scene.up, np.float64)))
+    return [{"name": scene.title, "rotation": rotation, "children": roots, "extras": {OURS: own}}, *nodes]
 
 
 def _match(match: Thing, query: str) -> Document:

@@ -60,7 +60,6 @@ def rotation_xyzw(rotation: Matrix3) -> list[float]:
 
 TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
 SAME_ROTATION_TOLERANCE = 1e-6  # between the entries of a rotation as stored and as computed
-Matrix = Matrix4
 
 
 DATA_URI = "data:"
@@ -244,7 +243,7 @@ def whole_number(value: object, where: str, below: int = 1 << 62) -> int:
     return value
 
 
-def placed_meshes(gltf: Gltf) -> Iterator[tuple[int, Matrix]]:
+def placed_meshes(gltf: Gltf) -> Iterator[tuple[int, Matrix4]]:
     """Yield each mesh that a node of the scene shows, and the matrix from its own axes to those of a PLY's world.
 
     Raises: FormatError: a node that is in two places or within itself, or whose numbers are none.
@@ -285,7 +284,7 @@ def is_world(node: Entry) -> bool:
     return 1e-6 < length < 1e6 and bool(np.abs(given - standing_up(direction)).max() < SAME_ROTATION_TOLERANCE)
 
 
-def local_matrix(node: Entry, number: int) -> Matrix:
+def local_matrix(node: Entry, number: int) -> Matrix4:
     """Return the matrix of a node, from its axes to those above it. Raises: FormatError: no numbers."""
     where = f"glTF: node {number}"
     if "matrix" in node:

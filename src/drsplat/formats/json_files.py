@@ -16,7 +16,7 @@ import numpy as np
 
 from ..base.arrays import DoubleRows, Doubles, Matrix3, Matrix4, OtherIndices, RowIds, Spans, Vector3
 from ..base.contents import AnyPath, Document, file_text
-from ..errors import FormatError, InputError
+from ..errors import FormatError
 from .replacing import replacing
 
 T = TypeVar("T")
@@ -30,8 +30,6 @@ def read_json(path: Path) -> object:
     """
     try:
         text = file_text(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
     except UnicodeError as error:
         raise FormatError(f"{path}: expected JSON: {error}") from error
     return document_in(text, str(path))

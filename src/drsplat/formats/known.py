@@ -38,10 +38,8 @@ from .tiles import TILES, read_tiles
 from .tiles3d_writing import write_tiles3d
 from .usd import SUFFIXES as USD_SUFFIXES
 from .usd import TEXT as USD_TEXT
-from .usd import layer_of, read_usd, scene_of
-from .usd_library import write_usdc, write_usdz
-from .usd_text import parse_usda
-from .usd_writing import write_usda
+from .usd import parse_usd, read_usd
+from .usd_writing import write_usd
 
 Writer = Callable[[Path, LabelledScene, bool], None]
 GZIP_DEFLATE = b"\x1f\x8b\x08"
@@ -172,14 +170,14 @@ FORMATS = (
         "glTF", suffixes=(".gltf",), by_suffix=True, parse=parse_glb, read=read_glb,
     ),
     SceneFormat(
-        "USD", suffixes=USD_SUFFIXES, marks=(USD_TEXT,), parse=lambda content: scene_of(parse_usda(content)).gaussians,
-        read=lambda path: scene_of(layer_of(path)).gaussians,
-        write={".usda": write_usda, ".usdc": write_usdc, ".usdz": write_usdz}, holds=_ALMOST_ALL,
+        "USD", suffixes=USD_SUFFIXES, marks=(USD_TEXT,), parse=lambda content: parse_usd(content).gaussians,
+        read=lambda path: read_usd(path).gaussians,
+        write=dict.fromkeys((".usda", ".usdc", ".usdz"), write_usd), holds=_ALMOST_ALL,
         row="| OpenUSD `.usda`, `.usdc`, `.usdz`, `.usd` | 26.03 | `.usda`, `.usdc`, `.usdz` | "
-        "ParticleField3DGaussianSplat, single and half precision; primvars with a number per Gaussian; binary "
-        'files need `pip install ".[usd]"` ([layout](#openusd)); SH degree above 3 is cut with a warning | linear '
-        "light or other primaries: export in `srgb_rec709_scene`; splats in other files or variants: flatten the "
-        "stage; splats that move; several splats of which some are moved: one file each |",
+        "ParticleField3DGaussianSplat, single and half precision; primvars with a number per Gaussian; reading, "
+        'and binary files, need `pip install ".[usd]"` ([layout](#openusd)); SH degree above 3 is cut with a warning | '
+        "linear light or other primaries: export in `srgb_rec709_scene`; splats in other files or variants: flatten "
+        "the stage; splats that move; several splats of which some are moved: one file each |",
     ),
     SceneFormat(
         "trained model",

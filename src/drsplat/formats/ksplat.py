@@ -54,15 +54,6 @@ class _Section(NamedTuple):
     degree: int
 
 
-class _Place(NamedTuple):
-    """Place of a section: its buckets, its rows, and the number of its first row in the file."""
-
-    section: _Section
-    buckets: int
-    table: int
-    first: int
-
-
 HEADER = np.dtype(
     {
         "names": _Header._fields,
@@ -89,14 +80,13 @@ def parse_ksplat(buffer: memoryview) -> Gaussians:
     """
     header = _header(buffer)
     places = list(_places(buffer, header))
-    n, degree = header.rows, max((place.section.degree for place in places), default=0)
+    n, degree = header.rows, max((section.degree for section, *_ in places), default=0)
     means, scales, quats, rgba = (np.empty((n, k), np.float32) for k in (3, 3, 4, 4))
     sh = np.zeros((n, SH_COEFFICIENTS[degree], 3), np.float32)
-    for place in places:
-        section = place.section
-        table = np.frombuffer(buffer, _row(header.level, section.degree), section.rows, place.table)
-        rows = slice(place.first, place.first + section.rows)
-        means[rows] = _positions(buffer, place, table) if header.level else table["means"]
+    for section, buckets, start, first in places:
+        table = np.frombuffer(buffer, _row(header.level, section.degree), section.rows, start)
+        rows = slice(first, first + section.rows)
+        means[rows] = _positions(buffer, section, buckets, table) if header.level else table["means"]
         scales[rows], quats[rows], rgba[rows] = table["scales"], table["quats"], table["rgba"]
         _fill_further(sh[rows], table["rest"], header)
     if header.level:
@@ -121,8 +111,11 @@ def _header(buffer: memoryview) -> _Header:
     return header
 
 
-def _places(buffer: memoryview, header: _Header) -> Iterator[_Place]:
-    """Yield the sections, each checked to fit the file, and check at last that they are all of the file."""
+def _places(buffer: memoryview, header: _Header) -> Iterator[tuple[_Section, int, int, int]]:
+    """Yield each section, where its buckets and its rows begin, and the number of its first row in the file.
+
+    Each is checked to fit the file, and at last that they are all of the file.
+    """
     at, first = HEADER.itemsize + header.sections * SECTION.itemsize, 0
     if at > len(buffer):
         raise FormatError(
@@ -141,7 +134,7 @@ def _places(buffer: memoryview, header: _Header) -> Iterator[_Place]:
             )
         if header.level:
             _require_buckets(buffer, section, at, index)
-        yield _Place(section, at, table, first)
+        yield section, at, table, first
         at, first = end, first + section.rows
     if (at, first) != (len(buffer), header.rows):
         raise FormatError(
@@ -182,8 +175,7 @@ def _row(level: int, degree: int) -> np.dtype:
     )
 
 
-def _positions(buffer: memoryview, place: _Place, table: Array) -> Points:
-    section, at = place.section, place.buckets
+def _positions(buffer: memoryview, section: _Section, at: int, table: Array) -> Points:
     centres = np.frombuffer(buffer, "<f4", 3 * section.buckets, at + 4 * section.partial)
     full = np.full(section.full, section.bucket_rows, np.int64)
     counts = np.concatenate([full, _lengths(buffer, section, at)])

@@ -7,24 +7,24 @@ Polygons are in pixels, (x, y); (0, 0) is the centre of the top left one. Number
 Source: Kerr et al. 2023 (LERF); the annotations of Qin et al. 2024 (LangSplat).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Array, Flags, Float64, Int64, Mask
+from ..base.arrays import Array, Float64, Int64, Mask
 from ..errors import FormatError, InputError
 from .json_files import as_fields, as_object, as_text, as_vector, excerpt, read_json
+from .lvis import fill_polygon as fill_inside
 from .photo_files import safe_name
 
 MAX_SIDE_PIXELS = 16384
 MAX_CORNERS = 1 << 16
 Polygon = Int64[np.ndarray, "_ 2"]
 Box = Float64[np.ndarray, "4"]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,8 @@ class LabelledFrame:
     name: str
     width: int
     height: int
-    polygons: Mapping[str, tuple[Polygon, ...]]
-    boxes: Mapping[str, tuple[Box, ...]]
+    polygons: Mapping[str, Sequence[Polygon]]
+    boxes: Mapping[str, Sequence[Box]]
 
     @cached_property
     def categories(self) -> tuple[str, ...]:
@@ -80,13 +80,13 @@ def read_lerf_frame(path: Path) -> LabelledFrame:
     size = (_side(info.width, f"{path}: info.width"), _side(info.height, f"{path}: info.height"))
     if info.name is not None and Path(safe_name(info.name, f"{path}: info.name")).stem != path.stem:
         raise FormatError(f"{path}: info.name: expected '{path.stem}', got {excerpt(info.name)}")
-    read = [_object(entry, size, f"{path}: object {index}") for index, entry in enumerate(document["objects"])]
-    return LabelledFrame(
-        path.stem,
-        *size,
-        _grouped((category, polygon) for category, polygon, _ in read),
-        _grouped((category, box) for category, _, box in read),
-    )
+    polygons: dict[str, list[Polygon]] = {}
+    boxes: dict[str, list[Box]] = {}
+    for index, entry in enumerate(document["objects"]):
+        category, polygon, box = _object(entry, size, f"{path}: object {index}")
+        polygons.setdefault(category, []).append(polygon)
+        boxes.setdefault(category, []).append(box)
+    return LabelledFrame(path.stem, *size, polygons, boxes)
 
 
 def fill_polygon(polygon: Polygon, width: int, height: int) -> Mask:
@@ -97,26 +97,12 @@ def fill_polygon(polygon: Polygon, width: int, height: int) -> Mask:
 
     Source: OpenCV `fillPoly` with 8-connected edges.
     """
-    filled = np.zeros((height, width), bool)
-    starts, ends = polygon, np.roll(polygon, -1, axis=0)
-    rows = np.arange(max(0, polygon[:, 1].min()), min(height, polygon[:, 1].max() + 1))
-    for row in rows.tolist():
-        _fill_row(filled[row], row, starts, ends)
-    for start, end in zip(starts, ends, strict=True):
+    filled = fill_inside(polygon + 0.5, height, width)
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         x, y = _line(start, end)
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         filled[y[inside], x[inside]] = True
     return filled
-
-
-def _fill_row(line: Flags, row: int, starts: Polygon, ends: Polygon) -> None:
-    """Fill between each two crossings; an edge has its upper end and not its lower one."""
-    low, high = np.minimum(starts[:, 1], ends[:, 1]), np.maximum(starts[:, 1], ends[:, 1])
-    crossed = (low <= row) & (row < high)
-    (x1, y1), (x2, y2) = starts[crossed].T, ends[crossed].T
-    x = np.sort(x1 + (row - y1) * (x2 - x1) / (y2 - y1))
-    for left, right in zip(x[::2], x[1::2], strict=True):
-        line[max(0, int(np.ceil(left))) : max(0, int(np.floor(right)) + 1)] = True
 
 
 def _line(start: Array, end: Array) -> tuple[Array, Array]:
@@ -158,10 +144,3 @@ def _polygon(value: object, size: tuple[int, int], where: str) -> Polygon:
     if (corners < -np.array(size)).any() or (corners > 2 * np.array(size)).any():
         raise FormatError(f"{where}: corners far outside of the {size[0]}x{size[1]} frame")
     return corners.astype(np.int64)
-
-
-def _grouped(pairs: Iterable[tuple[str, T]]) -> dict[str, tuple[T, ...]]:
-    groups: dict[str, list[T]] = {}
-    for key, value in pairs:
-        groups.setdefault(key, []).append(value)
-    return {key: tuple(values) for key, values in groups.items()}

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..base.arrays import Array, Bool, Float, Float64, Indices, Mask
 from ..base.contents import file_text
-from ..errors import FormatError, InputError
+from ..errors import DrSplatError, FormatError
 from .json_files import as_count, as_number, as_object, as_text, excerpt
 from .photo_files import safe_name
 
@@ -111,7 +111,11 @@ def read_annotations(path: str | Path) -> Annotations:
     path = Path(path)
     document = _document(path)
     photos = _by_id(document["images"], f"{path}, image", _photo)
-    categories = _by_id(document["categories"], f"{path}, category", _category)
+    categories = _by_id(
+        document["categories"],
+        f"{path}, category",
+        lambda entry, _, where: as_text(entry.get("name"), f"{where}: name"),
+    )
     instances = _by_id(document["annotations"], f"{path}, annotation", _instance)
     for instance in instances.values():
         where = f"{path}, annotation {instance.id}"
@@ -133,8 +137,8 @@ def _document(path: Path) -> dict[str, list[object]]:
     """Read LVIS's training set: outlines become arrays while its 1.1 GB of text are parsed."""
     try:
         document = json.loads(file_text(path), object_hook=_compacted)
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
+    except DrSplatError:
+        raise
     except (ValueError, RecursionError) as error:
         raise FormatError(f"{path}: expected JSON: {error}") from error
     if not isinstance(document, dict) or not all(
@@ -197,10 +201,6 @@ def _photo_name(entry: dict[str, object], where: str) -> str:
     except ValueError as error:
         raise FormatError(f"{where}: coco_url: {error}") from None
     return safe_name("/".join(place.strip("/").split("/")[-2:]), f"{where}: coco_url")
-
-
-def _category(entry: dict[str, object], number: int, where: str) -> str:
-    return as_text(entry.get("name"), f"{where}: name")
 
 
 def _instance(entry: dict[str, object], number: int, where: str) -> Instance:

@@ -63,12 +63,11 @@ def read_motion(folder: Path) -> Moving:
     check_tensors(tensors, _ARRAYS | {name: how for name, how in _FURTHER.items() if name in tensors}, where)
     canonical = read_gaussians(folder / SCENE)
     _check(tensors, metadata, canonical, where)
-    # compare scene.ply with its checksum, which folders of older versions lack
-    if metadata.get(SCENE_SUM, "") not in ("", file_checksum(folder / SCENE)):
+    if metadata.get(SCENE_SUM) != file_checksum(folder / SCENE):
         raise FormatError(f"{folder / SCENE}: damaged or edited: it is not what was written. {CURE}")
     shapes = {name: tensors[name] for name in SHAPES if name in tensors}
     sums = written_rows(shapes, metadata, where)
-    check_checksums(tensors, metadata, where, names=None if sums is None else tensors.keys() - shapes.keys())
+    check_checksums(tensors, metadata, where, names=tensors.keys() - shapes.keys())
     times = np.array(tensors["times"])
     try:
         return Moving(canonical, times, Frames(times, _frames(tensors, canonical, sums, where)))
@@ -77,14 +76,14 @@ def read_motion(folder: Path) -> Moving:
 
 
 def verify_motion(folder: Path) -> list[str]:
-    """Compare all of a folder with its checksums; return the names of the files that have some.
+    """Compare all of a folder with its checksums; return the names of its files.
 
     Raises: as `read_motion`.
     """
     read_motion(folder)
     tensors, metadata = map_tensors(folder / MOTION)
     check_checksums(tensors, metadata, f"{folder / MOTION}")
-    return [MOTION, SCENE] if SCENE_SUM in metadata else [MOTION]
+    return [MOTION, SCENE]
 
 
 def write_motion(folder: Path, moving: Moving, overwrite: bool = False) -> None:
@@ -123,14 +122,13 @@ def _check(tensors: Arrays, metadata: dict[str, str], canonical: Gaussians, wher
 
 
 def _frames(
-    tensors: Arrays, canonical: Gaussians, sums: dict[str, list[str]] | None, where: str
+    tensors: Arrays, canonical: Gaussians, sums: dict[str, list[str]], where: str
 ) -> Callable[[int], Gaussians]:
     def value(name: str, number: int) -> np.ndarray:
         if name not in tensors:
             return np.array(getattr(canonical, name))
         row = np.array(tensors[name][number])
-        if sums is not None:
-            check_row(row, sums[name], number, f"{where}: {name}")
+        check_row(row, sums[name], number, f"{where}: {name}")
         return row
 
     def frame(number: int) -> Gaussians:

@@ -12,16 +12,16 @@ decoded a block at a time, when they are asked for.
 
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Array, ArraysByName, Float32, Num, WholeNumbers
+from ..base.arrays import Array, ArraysByName
 from ..base.contents import open_file
-from ..errors import FormatError, InputError, MissingExtraError
+from ..errors import DrSplatError, FormatError, InputError, MissingExtraError
 from .npy import map_npy, read_npy
 from .tensors import map_tensors
 
@@ -48,55 +48,18 @@ class Rows(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class ByLeaf:
-    """A feature of each leaf, and the leaf of each row; -1: none."""
+class Computed:
+    """Rows that are computed when they are asked for."""
 
-    features: Num[Array, "l d"]
-    leaves: WholeNumbers
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return len(self.leaves), self.features.shape[1]
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        return self.features.dtype
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    rows: Callable[[slice], Array]
 
     def __len__(self) -> int:
-        return len(self.leaves)
+        return self.shape[0]
 
     def __getitem__(self, rows: slice) -> Array:
-        leaves = self.leaves[rows]
-        found: Array = self.features[leaves]
-        return np.where((leaves >= 0)[:, None], found, found.dtype.type(0))
-
-
-@dataclass(frozen=True, eq=False)
-class Decoded:
-    """Codes of an autoencoder, decoded when they are asked for: linear layers with ReLU between, then unit length."""
-
-    codes: Num[Array, "n c"]
-    layers: tuple[tuple[Float32[Array, "_ _"], Float32[Array, " _"]], ...]
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return len(self.codes), len(self.layers[-1][1])
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        return np.dtype(np.float32)
-
-    def __len__(self) -> int:
-        return len(self.codes)
-
-    def __getitem__(self, rows: slice) -> Array:
-        found = self.codes[rows].astype(np.float32)
-        lengths = np.linalg.norm(found, axis=1, keepdims=True)
-        found = found / np.maximum(lengths, 1e-9)
-        for number, (weight, bias) in enumerate(self.layers):
-            found = (np.maximum(found, 0) if number else found) @ weight.T + bias
-        norms = np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
-        return np.where(lengths > 0, found / norms, np.float32(0))
+        return self.rows(rows)
 
 
 def read_peer_features(path: Path, decoder: Path | None = None) -> Rows:
@@ -113,7 +76,7 @@ def read_peer_features(path: Path, decoder: Path | None = None) -> Rows:
             f"{path}: expected float16 or float32 (N, D), one row per Gaussian; got {found.dtype} {found.shape}"
         )
     if decoder is not None:
-        return Decoded(np.asarray(found[:]), _layers(decoder, found.shape[1]))
+        return _decoded(np.asarray(found[:]), _layers(decoder, found.shape[1]))
     if found.shape[1] == CODE_DIM:
         raise InputError(
             f"{path}: three numbers a Gaussian are codes of LangSplat's autoencoder: pass its checkpoint, decoder=FILE"
@@ -133,15 +96,15 @@ def _read(path: Path) -> Rows:
 def _leaves(path: Path) -> Rows:
     """Read the features of OpenGaussian's clusters."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_file(path) as file, zipfile.ZipFile(file) as archive:
             parts = {Path(name).stem.removesuffix(".npy"): name for name in archive.namelist()}
             if not {"leaf_feat", "leaf_ind"} <= set(parts):
                 raise InputError(f"{path}: expected the arrays leaf_feat and leaf_ind, found {sorted(parts)[:6]}")
             features, leaves = (
                 read_npy(archive.read(parts[name]), f"{path}: {name}") for name in ("leaf_feat", "leaf_ind")
             )
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
+    except DrSplatError:
+        raise
     except (zipfile.BadZipFile, EOFError, OSError, NotImplementedError, RuntimeError, MemoryError) as error:
         raise FormatError(f"{path}: not a sound .npz: {error}") from error
     leaves = leaves.reshape(-1)
@@ -149,30 +112,29 @@ def _leaves(path: Path) -> Rows:
         raise InputError(f"{path}: expected leaf_feat (L, D) of floats and leaf_ind (N) of integers")
     if len(leaves) and int(leaves.max()) >= len(features):
         raise FormatError(f"{path}: a Gaussian is of leaf {int(leaves.max())}, and there are {len(features)}")
-    return ByLeaf(features, leaves.astype(np.int64))
+
+    def rows(some: slice) -> Array:
+        chosen = leaves[some]
+        return np.where((chosen >= 0)[:, None], features[chosen], features.dtype.type(0))
+
+    return Computed((len(leaves), features.shape[1]), features.dtype, rows)
 
 
 def _torch(path: Path) -> ArraysByName:
     """Return the tensors of a PyTorch file, by their place in it."""
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
     with open_file(path) as file:
-        return _loaded(file, path)
-
-
-def _loaded(file: BinaryIO, path: Path) -> ArraysByName:
-    try:
-        import torch
-    except ImportError:
-        raise MissingExtraError(f"{path}: a file of PyTorch's needs it: pip install torch") from None
-    try:
-        loaded = torch.load(file, map_location="cpu", weights_only=True)
-    except Exception as error:  # of any kind, by what is in the file
-        first = str(error).strip().split("\n")[0][:200]
-        raise FormatError(
-            f"{path}: not a file of tensors that PyTorch reads without running what is in it ({first}); save its "
-            "features as .npy"
-        ) from error
+        try:
+            import torch
+        except ImportError:
+            raise MissingExtraError(f"{path}: a file of PyTorch's needs it: pip install torch") from None
+        try:
+            loaded = torch.load(file, map_location="cpu", weights_only=True)
+        except Exception as error:  # of any kind, by what is in the file
+            first = str(error).strip().split("\n")[0][:200]
+            raise FormatError(
+                f"{path}: not a file of tensors that PyTorch reads without running what is in it ({first}); save its "
+                "features as .npy"
+            ) from error
     return {name: tensor.detach().numpy() for name, tensor in _tensors(loaded, "", torch.Tensor)}
 
 
@@ -200,6 +162,21 @@ def _only(arrays: ArraysByName, path: Path) -> Array:
         return checkpoint  # (parameters, iteration) as 3DGS saves them: position is 0.1, LangSplat's codes are 0.7
     listed = ", ".join(f"{name or 'it'} {array.shape}" for name, array in list(wide.items())[:6]) or "none"
     raise InputError(f"{path}: expected one array of (N, D) floats, or one whose name has 'feature'; found {listed}")
+
+
+def _decoded(codes: Array, layers: Sequence[tuple[Array, Array]]) -> Rows:
+    """Return codes of an autoencoder, decoded: linear layers with ReLU between, then unit length."""
+
+    def rows(some: slice) -> Array:
+        found = codes[some].astype(np.float32)
+        lengths = np.linalg.norm(found, axis=1, keepdims=True)
+        found = found / np.maximum(lengths, 1e-9)
+        for number, (weight, bias) in enumerate(layers):
+            found = (np.maximum(found, 0) if number else found) @ weight.T + bias
+        norms = np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
+        return np.where(lengths > 0, found / norms, np.float32(0))
+
+    return Computed((len(codes), len(layers[-1][1])), np.dtype(np.float32), rows)
 
 
 def _layers(path: Path, width: int) -> tuple[tuple[Array, Array], ...]:

@@ -92,12 +92,12 @@ def find_files(places: Sequence[Sequence[Path]]) -> list[Path | None]:
     unique = {tuple(paths): next(filter(None, map(_exact, paths)), None) for paths in places}
     listing, taken, converted = cache(_listing), set(unique.values()), []
     for paths in [paths for paths, exact in unique.items() if exact is None]:
-        spellings = ([file for each in _spellings(path) for file in _alike(each, listing)] for path in paths)
-        file = next(filter(None, (_only(files, taken) for files in spellings)), None)
-        if file is None:
-            others = ([file for each in _converted(path) for file in _alike(each, listing)] for path in paths)
-            file = next(filter(None, (_only(files, taken) for files in others)), None)
-            converted += [f"{file.name} for {paths[0].name}"] if file is not None else []
+        for spellings in (_spellings, _converted):
+            alike = ([file for each in spellings(path) for file in _alike(each, listing)] for path in paths)
+            file = next(filter(None, (_only(files, taken) for files in alike)), None)
+            if file is not None:
+                converted += [f"{file.name} for {paths[0].name}"] * (spellings is _converted)
+                break
         unique[paths] = file
         taken.add(file)
     several = [
@@ -172,12 +172,9 @@ def capture_folder(path: Path) -> Path:
         return folder
     if folder.name.isdecimal() and (folder.parent / "images").is_dir():
         return folder.parent
-    is_named_so = folder.parent.name == "sparse" and not folder.name.isdecimal() and not _holds_cameras(folder)
+    has_cameras = any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+    is_named_so = folder.parent.name == "sparse" and not folder.name.isdecimal() and not has_cameras
     return folder if is_named_so else Path(_MODEL_FOLDERS.sub("", folder.as_posix()))
-
-
-def _holds_cameras(folder: Path) -> bool:
-    return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
 
 
 def image_folder(capture: Path, images: str | Path | None) -> Path:

@@ -228,7 +228,10 @@ def gather(records: Records, names: Sequence[str]) -> FloatRows:
     A value that float32 cannot hold becomes infinite: judging it is the caller's.
     """
     result = np.empty((len(records), len(names)), np.float32)
-    words = _float32_words(records.dtype, names)
+    # the places of the columns in a record that is seen as float32 words, where it can be
+    fields = [records.dtype.fields[name] for name in names] if records.dtype.fields else []
+    is_words = not records.dtype.itemsize % 4 and all(f[0] == np.float32 and not f[1] % 4 for f in fields)
+    words = [f[1] // 4 for f in fields] if is_words else None
     for start in range(0, len(records), BLOCK_ROWS):
         rows = slice(start, start + BLOCK_ROWS)
         block = records[rows]
@@ -239,14 +242,6 @@ def gather(records: Records, names: Sequence[str]) -> FloatRows:
         for column, name in enumerate(names):
             result[rows, column] = block[name]
     return result
-
-
-def _float32_words(record: np.dtype, names: Sequence[str]) -> list[int] | None:
-    """Return the positions of the columns in a record seen as float32 words; None if it cannot be so seen."""
-    fields = [record.fields[name] for name in names] if record.fields else []
-    if record.itemsize % 4 or any(f[0] != np.float32 or f[1] % 4 for f in fields):
-        return None
-    return [f[1] // 4 for f in fields]
 
 
 def write_vertices(

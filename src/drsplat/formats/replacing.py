@@ -238,8 +238,7 @@ def claimed_output(output: AnyPath, patience: float = 0.0) -> Iterator[None]:
     name is no file.
     """
     path = Path(os.path.realpath(output))
-    if not path.parent.is_dir():
-        raise InputError(f"there is no folder {path.parent} to write {path.name} into: make it first")
+    refuse_missing_parent(path)
     with _held(path.with_name(f".{path.name}{LOCK}"), path, patience):
         yield
 

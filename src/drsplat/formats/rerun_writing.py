@@ -31,7 +31,10 @@ def write_rrd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
     Raises: InputError: no Gaussians, or some that no file could give back; `path` exists and not `overwrite`.
     MissingExtraError: the SDK is not installed. FormatError: a damaged frame of a scene that moves.
     """
-    rerun = _sdk()
+    try:
+        import rerun
+    except ModuleNotFoundError:
+        raise MissingExtraError(f"a recording of rerun needs its SDK: {pip_install('rerun')}") from None
     refuse_unwritable(scene.gaussians)
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "scene.rrd"
@@ -42,14 +45,6 @@ def write_rrd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
         stream.flush()
         stream.disconnect()
         take_over(made, path, overwrite)
-
-
-def _sdk() -> Any:
-    try:
-        import rerun
-    except ModuleNotFoundError:
-        raise MissingExtraError(f"a recording of rerun needs its SDK: {pip_install('rerun')}") from None
-    return rerun
 
 
 def _log(rerun: Any, stream: Any, scene: LabelledScene) -> None:

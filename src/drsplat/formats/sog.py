@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Array, Arrays, Float32, FloatRows, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
+from ..base.arrays import Array, Arrays, Float32, FloatRows, Harmonics, Quats, UInt8, Vector3
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, flat
@@ -242,36 +242,45 @@ class _Sog:
             raise FormatError(f"{META}: expected a count of Gaussians, got {self.count}")
 
     def gaussians(self) -> Gaussians:
-        means, quats, scales = self._means(), self._quats(), self._scales()
-        colours = self._plane("sh0")
-        opacities, model = self._opacities(colours), self.meta.get("model")
+        low, high = (self._plane("means", place)[:, :3].astype(np.uint16) for place in (0, 1))
+        logs = self._between("means", low | high << 8, 65535).astype(np.float64)
+        means = (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
+        quats = self._quats()
+        scales = exp(self._values("scales", self._plane("scales")[:, :3]))
+        colours, model = self._plane("sh0"), self.meta.get("model")
         scales = flat(scales[:, :2]) if model == SURFELS else scales
-        sh = self._harmonics(colours)
-        # the object of each Gaussian, -1 for none, and its relevancy, as far as they are there
+        if self.legacy:
+            values = self._between("sh0", colours, 255)
+            sh, opacities = values[:, None, :3], sigmoid(values[:, 3])
+        else:
+            sh, opacities = self._values("sh0", colours[:, None, :3]), colours[:, 3] / np.float32(255)
+        if "shN" in self.meta:
+            sh = np.concatenate([sh, self._further()], axis=1)
+        gaussians = checked(means, quats, scales, opacities, sh, self._columns(), model == ANTIALIASED)
+        origin = as_kind(self.own.get("origin"), Vector3 | None, f"{META}: origin")
+        return gaussians if origin is None else replace(gaussians, origin=origin)
+
+    def _columns(self) -> Arrays:
+        """Return the object of each Gaussian, -1 for none, and its relevancy, as far as they are there."""
         own = self.own
         columns: Arrays = {}
         if "object_id" in own:
-            low, middle, high = self._plane_of(own, "object_id")[:, :3].T.astype(np.int32)
+            low, middle, high = self._plane("object_id", meta=own)[:, :3].T.astype(np.int32)
             columns["object_id"] = (low | middle << 8 | high << 16) - 1
         if "relevancy" in own:
-            low, high = self._plane_of(own, "relevancy")[:, :2].T.astype(np.uint16)
+            low, high = self._plane("relevancy", meta=own)[:, :2].T.astype(np.uint16)
             least, most = (as_number(own["relevancy"].get(end), f"{META}: relevancy: {end}") for end in ("min", "max"))
             columns["relevancy"] = (least + (most - least) * ((low | high << 8) / 65535)).astype(np.float32)
-        gaussians = checked(means, quats, scales, opacities, sh, columns, model == ANTIALIASED)
-        origin = as_kind(self.own.get("origin"), Vector3 | None, f"{META}: origin")
-        return gaussians if origin is None else replace(gaussians, origin=origin)
+        return columns
 
     def labels(self) -> Labels:
         """Return the names and boxes of objects that drsplat wrote beside; none in files of other programs."""
         name = as_kind(self.own.get("labels"), str | None, f"{META}: {OWN}: labels")
         return Labels() if name is None else parse_labels(self.member(name), name)
 
-    def _plane(self, part: str, place: int = 0) -> Bytes:
-        return self._plane_of(self.meta, part, place)
-
-    def _plane_of(self, meta: Mapping[str, Any], part: str, place: int = 0) -> Bytes:
+    def _plane(self, part: str, place: int = 0, meta: Mapping[str, Any] | None = None) -> Bytes:
         """Return the pixels of the Gaussians, from a picture that holds them and hardly more."""
-        name = _file(meta, part, place)
+        name = _file(self.meta if meta is None else meta, part, place)
         data = self.member(name)
         width, height = webp_size(data, name)
         needed = -(-self.count // width) * width
@@ -291,15 +300,12 @@ class _Sog:
         values: Array = mins + (maxs - mins) * (steps / most)
         return values.astype(np.float32)
 
-    def _looked_up(self, part: str, codes: Array) -> Float32[Array, "*n"]:
+    def _values(self, part: str, codes: Array) -> Float32[Array, "*n"]:
+        """Look values up in a codebook; those of version 1 are steps."""
+        if self.legacy:
+            return self._between(part, codes, 255)
         book = as_vector(_part(self.meta, part).get("codebook"), 256, f"{META}: {part}: codebook")
         return book.astype(np.float32)[codes]
-
-    def _means(self) -> Vectors:
-        low, high = (self._plane("means", place)[:, :3].astype(np.uint16) for place in (0, 1))
-        logs = self._between("means", low | high << 8, 65535).astype(np.float64)
-        means: Array = np.sign(logs) * np.expm1(np.abs(logs))
-        return means.astype(np.float32)
 
     def _quats(self) -> Quats:
         plane = self._plane("quats")
@@ -312,31 +318,7 @@ class _Sog:
         three = (plane[:, :3] / np.float32(127.5) - 1) * np.float32(0.5**0.5)
         return from_smallest_three(three.astype(np.float32), plane[:, 3] - np.uint8(_FIRST_TAG))
 
-    def _scales(self) -> Vectors:
-        sizes = self._plane("scales")[:, :3]
-        return exp(self._between("scales", sizes, 255) if self.legacy else self._looked_up("scales", sizes))
-
-    def _opacities(self, colours: Bytes) -> Numbers:
-        if self.legacy:
-            return sigmoid(self._between("sh0", colours, 255)[:, 3])
-        return colours[:, 3] / np.float32(255)
-
-    def _harmonics(self, colours: Bytes) -> Harmonics:
-        if self.legacy:
-            first = self._between("sh0", colours, 255)[:, None, :3]
-        else:
-            first = self._looked_up("sh0", colours[:, None, :3])
-        return np.concatenate([first, self._further()], axis=1) if "shN" in self.meta else first
-
     def _further(self) -> Harmonics:
-        palette = self._palette()
-        labels = self._plane("shN", 1)[:, :2].astype(np.uint16)
-        chosen = labels[:, 0] | labels[:, 1] << 8
-        if self.count and chosen.max() >= len(palette):
-            raise FormatError(f"row {int(chosen.argmax())} names entry {chosen.max()} of a palette of {len(palette)}")
-        return palette[chosen]
-
-    def _palette(self) -> Harmonics:
         name = _file(self.meta, "shN", 0)
         data = self.member(name)
         width, height = webp_size(data, name)
@@ -347,11 +329,17 @@ class _Sog:
         ):
             raise FormatError(f"'{name}' is {width}x{height} pixels for a palette of {size}")
         pixels = webp_pixels(data, name)[..., :3].reshape(-1, coefficients, 3)[:size]
-        if not self.legacy:
-            return self._looked_up("shN", pixels)
-        part = _part(self.meta, "shN")
-        low, high = (as_number(part.get(end), f"{META}: shN: {end}") for end in ("mins", "maxs"))
-        return (low + (high - low) * (pixels / np.float64(255))).astype(np.float32)
+        if self.legacy:
+            part = _part(self.meta, "shN")
+            low, high = (as_number(part.get(end), f"{META}: shN: {end}") for end in ("mins", "maxs"))
+            palette = (low + (high - low) * (pixels / np.float64(255))).astype(np.float32)
+        else:
+            palette = self._values("shN", pixels)
+        labels = self._plane("shN", 1)[:, :2].astype(np.uint16)
+        chosen = labels[:, 0] | labels[:, 1] << 8
+        if self.count and chosen.max() >= size:
+            raise FormatError(f"row {int(chosen.argmax())} names entry {chosen.max()} of a palette of {size}")
+        return palette[chosen]
 
     def _palette_shape(self, width: int, height: int) -> tuple[int, int]:
         """Return the entries and coefficients of each; version 1 says neither but by the picture's size."""

@@ -27,7 +27,6 @@ from ..base.arrays import (
     Embeddings,
     Float32,
     Harmonics,
-    Integer,
     Numbers,
     OtherEmbeddings,
     Quats,
@@ -98,11 +97,12 @@ def ordered_files(gaussians: Gaussians, labels: bytes = b"") -> dict[str, bytes]
     colours, colour_codes = coded(gaussians.sh[:, 0])
     alpha = np.rint(gaussians.opacities * 255).astype(np.uint8)
     further, further_files = _further(gaussians.sh[:, 1:])
+    model = SURFELS if gaussians.surfels else ANTIALIASED if gaussians.antialiased else ""
     meta: dict[str, object] = {
         "version": VERSION,
         "asset": {"generator": GENERATOR},
         "count": len(gaussians),
-        **_model(gaussians),
+        **({"model": model} if model else {}),
         "means": means,
         "scales": {"codebook": scales, "files": ["scales.webp"]},
         "quats": {"files": ["quats.webp"]},
@@ -119,13 +119,6 @@ def ordered_files(gaussians: Gaussians, labels: bytes = b"") -> dict[str, bytes]
         **further_files,
         **own_files,
     }
-
-
-def _model(gaussians: Gaussians) -> dict[str, object]:
-    """Return the mark of surfels, or of antialiased Gaussians; none of others."""
-    if gaussians.surfels:
-        return {"model": SURFELS}
-    return {"model": ANTIALIASED} if gaussians.antialiased else {}
 
 
 def picture(rows: ByteRows, width: int = 0) -> bytes:
@@ -190,12 +183,8 @@ def _means(means: Vectors) -> tuple[dict[str, object], dict[str, bytes]]:
     logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
     low, high = logs.min(0), logs.max(0)
     steps = np.rint((logs - low) / np.where(high > low, high - low, 1) * 65535).astype(np.uint16)
-    files = {"means_l.webp": picture(low_bytes(steps)), "means_u.webp": picture((steps >> 8).astype(np.uint8))}
+    files = {"means_l.webp": picture(steps.astype(np.uint8)), "means_u.webp": picture((steps >> 8).astype(np.uint8))}
     return {"mins": low.tolist(), "maxs": high.tolist(), "files": list(files)}, files
-
-
-def low_bytes(values: Integer[Array, "..."]) -> UInt8[Array, "..."]:
-    return np.asarray(values & 255).astype(np.uint8)
 
 
 def _quats(quats: Quats) -> UInt8[Array, "n 4"]:
@@ -219,7 +208,7 @@ def _further(rest: Harmonics) -> tuple[dict[str, object], dict[str, bytes]]:
     padded[: len(entries)] = entries
     files = {
         "shN_centroids.webp": picture(padded, width),
-        "shN_labels.webp": picture(np.column_stack([low_bytes(labels), (labels >> 8).astype(np.uint8)])),
+        "shN_labels.webp": picture(np.column_stack([labels.astype(np.uint8), (labels >> 8).astype(np.uint8)])),
     }
     bands = {3: 1, 8: 2, 15: 3}[coefficients]
     return {"shN": {"count": len(palette), "bands": bands, "codebook": book, "files": list(files)}}, files
@@ -274,7 +263,7 @@ def _own_parts(gaussians: Gaussians, labels: bytes) -> tuple[dict[str, object], 
         if object_of.max() > MAX_OBJECT_ID:
             raise InputError(f"SOG: expected at most {MAX_OBJECT_ID + 1:,} objects, got the number {object_of.max():,}")
         ids = object_of.astype(np.int64) + 1
-        rows = np.column_stack([low_bytes(ids >> shift) for shift in (0, 8, 16)])
+        rows = np.column_stack([(ids >> shift).astype(np.uint8) for shift in (0, 8, 16)])
         part["object_id"], files[OBJECTS] = ({"files": [OBJECTS]}, picture(rows))
     if "relevancy" in gaussians.extra:
         part["relevancy"], files[RELEVANCIES] = _relevancy(gaussians.extra["relevancy"])
@@ -285,5 +274,5 @@ def _relevancy(relevancy: Numbers) -> tuple[Mapping[str, object], bytes]:
     """Encode relevancies as 16 bits between the least and the greatest."""
     low, high = float(relevancy.min()), float(relevancy.max())
     steps = np.rint((relevancy.astype(np.float64) - low) / max(high - low, 1e-30) * 65535).astype(np.uint16)
-    rows = np.column_stack([low_bytes(steps), (steps >> 8).astype(np.uint8)])
+    rows = np.column_stack([steps.astype(np.uint8), (steps >> 8).astype(np.uint8)])
     return {"min": low, "max": high, "files": [RELEVANCIES]}, picture(rows)

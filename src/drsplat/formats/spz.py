@@ -18,9 +18,10 @@ gzip can reach 1,030 and zstd far more, on zeros only.) That holds for a file, n
 scene may be zero. Nothing is ever decompressed beyond that size. Source: RFC 1952 (gzip), RFC 8878 (zstd).
 """
 
+import gzip
+import io
 import struct
 import zlib
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,11 +81,8 @@ def parse_spz(buffer: memoryview) -> Gaussians:
     planes, extensions, header = _planes(buffer)
     positions, alphas, colours, scales, rotations, rest = planes
     n = header.count
-    # The factors of x, y, z that turn the stored axes into RDF
-    system = 4  # RUB
-    for kind, content in _records(extensions):
-        if kind == COORDINATE_SYSTEM:
-            system = int.from_bytes(content[:4], "little") or system
+    # The factors of x, y, z that turn the stored axes, by default RUB, into RDF
+    system = int.from_bytes(extensions.get(COORDINATE_SYSTEM, b"")[:4], "little") or 4
     if system > 8:
         raise FormatError(f"SPZ stores axes {system}, with y and z exchanged: convert it to RUB (4) first")
     # Bits of system - 1: right, up, front. RDF is right, not up, front.
@@ -99,7 +97,7 @@ def parse_spz(buffer: memoryview) -> Gaussians:
     fixed = wide.view("<i4").reshape(-1, 3) >> 8
     return checked(
         np.ldexp(fixed.astype(np.float32), -header.fractional_bits) * signs,
-        (_first_three(rotations) if header.version == 2 else _smallest_three(rotations)) * turn,
+        (_first_three if header.version == 2 else _smallest_three)(rotations) * turn,
         exp(log_scales),
         alphas.astype(np.float32) / 255,
         _harmonics(colours, rest, header, signs),
@@ -118,9 +116,9 @@ def read_spz_labels(path: Path) -> Labels:
     return parse_labels(content, f"{path}: extension") if content else Labels()
 
 
-def _objects(extensions: bytes, count: int) -> tuple[Arrays, bytes]:
+def _objects(extensions: dict[int, bytes], count: int) -> tuple[Arrays, bytes]:
     """Return the columns of drsplat's extension, and its labels as JSON; neither where there is none."""
-    payload = next((content for kind, content in _records(extensions) if kind == OBJECTS), None)
+    payload = extensions.get(OBJECTS)
     if payload is None:
         return {}, b""
     if len(payload) < OBJECT_SIZES.size:
@@ -135,16 +133,21 @@ def _objects(extensions: bytes, count: int) -> tuple[Arrays, bytes]:
     return {name: column for name, column in columns.items() if len(column)}, content[sizes[0] + sizes[1] :]
 
 
-def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the kind and the content of each extension."""
+def _records(raw: bytes) -> dict[int, bytes]:
+    """Return the extensions by kind."""
+    found: dict[int, bytes] = {}
     offset = 0
-    while offset + 8 <= len(extensions):
-        kind, length = struct.unpack_from("<II", extensions, offset)
-        yield kind, extensions[offset + 8 : offset + 8 + length]
+    while offset + 8 <= len(raw):
+        kind, length = struct.unpack_from("<II", raw, offset)
+        found[kind] = raw[offset + 8 : offset + 8 + length]
         offset += 8 + length
+    return found
 
 
-def _planes(buffer: memoryview) -> tuple[list[UInt8[Array, " _"]], bytes, SpzHeader]:
+Planes = tuple[list[UInt8[Array, " _"]], dict[int, bytes], SpzHeader]
+
+
+def _planes(buffer: memoryview) -> Planes:
     if bytes(buffer[:4]) == MAGIC and _header(bytes(buffer[: PREFIX.size])).version == 4:
         return _separate(buffer)
     return _concatenated(buffer)
@@ -168,25 +171,33 @@ def _header(raw: bytes) -> SpzHeader:
     return header
 
 
-def _concatenated(buffer: memoryview) -> tuple[list[UInt8[Array, " _"]], bytes, SpzHeader]:
-    """Read versions 2 and 3: the header, all planes and perhaps extensions in one gzip stream."""
-
-    def payload_bytes(start: bytes) -> int:
-        header = _header(start)
+def _concatenated(buffer: memoryview) -> Planes:
+    """Read versions 2 and 3: the header, all planes and perhaps extensions in one gzip stream, or without one."""
+    is_packed = bytes(buffer[:2]) == GZIP_MAGIC
+    stream = gzip.GzipFile(fileobj=io.BytesIO(buffer)) if is_packed else io.BytesIO(buffer)
+    try:
+        raw = stream.read(PREFIX.size)
+        header = _header(raw)
         if header.version == 4:
             raise FormatError("SPZ version 4 inside gzip: decompress the file first")
-        return PREFIX.size + sum(header.plane_bytes())
-
-    raw, tail = gunzipped(buffer, PREFIX.size, payload_bytes)
-    header = _header(raw[: PREFIX.size])
+        sizes = header.plane_bytes()
+        size = PREFIX.size + sum(sizes)
+        if is_packed:
+            refuse_implausible(size, len(buffer))
+        raw += stream.read(sum(sizes))
+        tail = stream.read(MAX_EXTENSION_BYTES)
+        is_whole = not stream.read(1)
+    except (EOFError, OSError, zlib.error) as error:
+        raise FormatError(f"gzip stream is damaged: {error}") from None
+    if len(raw) < size or not is_whole:
+        raise FormatError(f"SPZ is truncated or damaged: its header promises {size} bytes, it holds {len(raw)}")
     if tail.strip(b"\0") and not header.flags & HAS_EXTENSIONS:  # zeros are padding
         raise FormatError(f"SPZ holds {len(tail)} bytes more than {header.count} Gaussians: its header is damaged")
-    sizes = header.plane_bytes()
     whole = np.frombuffer(raw, np.uint8, sum(sizes), PREFIX.size)
-    return np.split(whole, np.cumsum(sizes)[:-1]), tail, header
+    return np.split(whole, np.cumsum(sizes)[:-1]), _records(tail), header
 
 
-def _separate(buffer: memoryview) -> tuple[list[UInt8[Array, " _"]], bytes, SpzHeader]:
+def _separate(buffer: memoryview) -> Planes:
     """Read version 4: header, extensions, table of contents, a zstd stream per plane that has bytes."""
     if len(buffer) < HEADER_BYTES:
         raise FormatError("SPZ is truncated in its header")
@@ -213,7 +224,8 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[Array, " _"]], bytes, SpzH
         offset += compressed
     if bytes(buffer[offset : offset + MAX_EXTENSION_BYTES]).strip(b"\0") or len(buffer) - offset > MAX_EXTENSION_BYTES:
         raise FormatError(f"SPZ holds {len(buffer) - offset} bytes after its last stream: its header is damaged")
-    return (planes, bytes(buffer[HEADER_BYTES:contents]) if header.flags & HAS_EXTENSIONS else b"", header)
+    extensions = _records(bytes(buffer[HEADER_BYTES:contents])) if header.flags & HAS_EXTENSIONS else {}
+    return planes, extensions, header
 
 
 def _first_three(plane: UInt8[Array, " _"]) -> Quats:
@@ -252,47 +264,6 @@ def refuse_implausible(size: int, compressed: int) -> None:
             f"{compressed} compressed bytes claim to hold {size}, more than the {limit} that are "
             "plausible: the header is damaged, or this is a decompression bomb"
         )
-
-
-def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[bytes], int]) -> tuple[bytes, bytes]:
-    """Decompress the payload, whose size `payload_bytes` tells from its start, and up to 1 MiB behind it.
-
-    A `buffer` that is not gzip is taken as the payload itself.
-
-    Raises: FormatError: no whole gzip stream, an implausible size, or a payload shorter than it says.
-    """
-    if bytes(buffer[:2]) != GZIP_MAGIC:
-        size = payload_bytes(bytes(buffer[:start_bytes]))
-        raw, tail = (bytes(buffer[: min(size, len(buffer))]), bytes(buffer[size : size + MAX_EXTENSION_BYTES + 1]))
-        whole = len(buffer) <= size + MAX_EXTENSION_BYTES
-    else:
-        try:
-            start, _ = _unzipped(buffer, start_bytes)
-            size = payload_bytes(start)
-            refuse_implausible(size, len(buffer))
-            raw, whole = _unzipped(buffer, size + MAX_EXTENSION_BYTES)
-            raw, tail = raw[:size], raw[size:]
-        except zlib.error as error:
-            raise FormatError(f"gzip stream is damaged: {error}") from None
-    if len(raw) < size or not whole:
-        raise FormatError(f"SPZ is truncated or damaged: its header promises {size} bytes, it holds {len(raw)}")
-    return raw, tail
-
-
-def _unzipped(buffer: memoryview, most: int) -> tuple[bytes, bool]:
-    """Return at most so many bytes of a gzip file, of one member after another, and whether that is all of it.
-
-    Zeros behind the last member are padding, as tapes and buffers of fixed length have it.
-    """
-    parts, left = [], most
-    while True:
-        stream = zlib.decompressobj(wbits=31)
-        parts.append(stream.decompress(buffer, left) if left else b"")
-        left -= len(parts[-1])
-        rest = stream.unused_data
-        if not stream.eof or not rest.strip(b"\0"):
-            return b"".join(parts), stream.eof
-        buffer = memoryview(rest)
 
 
 def unzstd(compressed: memoryview, size: int) -> bytes:

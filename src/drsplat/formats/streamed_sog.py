@@ -164,25 +164,16 @@ def write_streamed_sog(
     Raises: InputError: no Gaussians, or some that no file could give back; DIR exists and not `overwrite`.
     FormatError: damaged tiles.
     """
-    gaussians, labels = (source, b"") if isinstance(source, Tiles) else _parts(source)
+    labels, finest = b"", source if isinstance(source, Tiles) else replace(source.gaussians, extra=source.columns)
+    if isinstance(source, LabelledScene) and has_labels(source):
+        labels = labels_bytes(source)
     with replacing_folder(path.resolve().parent, overwrite, LOD_META) as temporary:
         writer = _Writer(temporary, chunk_rows)
-        for run in _runs(gaussians, leaf_rows):
-            writer.add(run)
+        for read in leaves_of(finest, leaf_rows)[0]:
+            part = read()
+            for begin in range(0, len(part), leaf_rows):
+                writer.add(part.subset(np.arange(begin, min(begin + leaf_rows, len(part)))))
         writer.finish(labels)
-
-
-def _parts(scene: LabelledScene) -> tuple[Gaussians, bytes]:
-    """Return the Gaussians with the columns that go along, and the names of the objects, empty without any."""
-    return replace(scene.gaussians, extra=scene.columns), labels_bytes(scene) if has_labels(scene) else b""
-
-
-def _runs(source: Gaussians | Tiles, rows: int) -> Iterator[Gaussians]:
-    """Yield the finest level of each leaf of the tree, neighbours next to each other."""
-    for read in leaves_of(source, rows).leaves:
-        part = read()
-        for begin in range(0, len(part), rows):
-            yield part.subset(np.arange(begin, min(begin + rows, len(part))))
 
 
 @dataclass
@@ -218,23 +209,19 @@ class _Writer:
             run = run.subset(morton_order(run.means))
             boxes.append(extent_of(run))
             # into the chunk of its level that is being filled
-            chunk = self.open_chunks.get(level) or self._begun(level)
-            place = {"file": chunk.number, "offset": chunk.count, "count": len(run)}
+            chunk = self.open_chunks.get(level)
+            if chunk is None:
+                number = sum(name.startswith(f"{level}_") for name in self.filenames)
+                chunk = self.open_chunks[level] = _Chunk(f"{level}_{number}", len(self.filenames))
+                self.filenames.append(f"{chunk.name}/{META}")
+            levels[str(level)] = {"file": chunk.number, "offset": chunk.count, "count": len(run)}
             chunk.runs.append(run)
             self.counts[level] += len(run)
             if chunk.count >= self.chunk_rows:
                 self._write(self.open_chunks.pop(level))
-            levels[str(level)] = place
-        low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
-        ends = {"min": low, "max": high}
-        self.leaves.append(
-            {
-                "bound": {
-                    name: [float(f"{number:.{INDEX_DIGITS}g}") for number in corner] for name, corner in ends.items()
-                },
-                "lods": levels,
-            }
-        )
+        ends = {"min": np.min(boxes, axis=0)[0], "max": np.max(boxes, axis=0)[1]}
+        bound = {name: [float(f"{number:.{INDEX_DIGITS}g}") for number in corner] for name, corner in ends.items()}
+        self.leaves.append({"bound": bound, "lods": levels})
 
     def finish(self, labels: bytes) -> None:
         """Write what is left, the index, and the names of the objects beside it."""
@@ -252,12 +239,6 @@ class _Writer:
         }
         files = {LOD_META: json.dumps(document, separators=(",", ":")).encode()}
         _write_files(self.folder, files | ({LABELS: labels} if labels else {}))
-
-    def _begun(self, level: int) -> _Chunk:
-        number = sum(name.startswith(f"{level}_") for name in self.filenames)
-        chunk = self.open_chunks[level] = _Chunk(f"{level}_{number}", len(self.filenames))
-        self.filenames.append(f"{chunk.name}/{META}")
-        return chunk
 
     def _write(self, chunk: _Chunk) -> None:
         (self.folder / chunk.name).mkdir()

@@ -7,10 +7,9 @@ A scene as leaves of a tree of levels of detail: runs of neighbouring Gaussians 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -58,14 +57,14 @@ class _Entry:
     low: Vector3
     high: Vector3
     largest: float
-    crc32: Mapping[str, str] = field(default_factory=dict)
+    crc32: Mapping[str, str]
 
 
 class Tile(NamedTuple):
     """A run of rows. low, high: the box of its centres, counted from the scene's origin.
 
     largest: standard deviation of the largest of its Gaussians that can be seen. checksums: of its files' headers, by
-    kind; none in manifests of older versions.
+    kind.
     """
 
     name: str
@@ -74,7 +73,7 @@ class Tile(NamedTuple):
     low: Vector3
     high: Vector3
     largest: float
-    checksums: Mapping[str, str] = MappingProxyType({})
+    checksums: Mapping[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +155,7 @@ class Tiles:
             arrays, metadata = read_tensors(path)
         except (InputError, FormatError) as error:
             raise FormatError(f"{error}. {CURE}") from None
-        if tile.checksums.get(kind, header_checksum(metadata)) != header_checksum(metadata):
+        if tile.checksums.get(kind) != header_checksum(metadata):
             raise FormatError(f"{path}: another file than {TILES} names, of other tiles or damaged. {CURE}")
         check_tensors(arrays, expected, str(path))
         if len(next(iter(arrays.values()))) != tile.num_rows:
@@ -268,23 +267,18 @@ Leaf = Callable[[], Gaussians]
 """Reads the Gaussians of a leaf."""
 
 
-class Leaves(NamedTuple):
-    """Leaves in order, neighbours next to each other. middle: of the box of all centres, in the world."""
+def leaves_of(source: Gaussians | Tiles, rows: int) -> tuple[list[Leaf], Vector3]:
+    """Split a scene into leaves, neighbours next to each other, and return the middle of all centres' box in the world.
 
-    leaves: list[Leaf]
-    middle: Vector3
-
-
-def leaves_of(source: Gaussians | Tiles, rows: int) -> Leaves:
-    """Split a scene into leaves. rows: of a leaf at most, of a scene that is not cut into tiles already.
+    rows: of a leaf at most, of a scene that is not cut into tiles already.
 
     Raises: InputError: no Gaussians, or some that no file could give back.
     """
     if isinstance(source, Tiles):
         low, high = np.min([t.low for t in source.tiles], axis=0), np.max([t.high for t in source.tiles], axis=0)
-        return Leaves([partial(source.tile, tile) for tile in source.tiles], source.origin + (low + high) / 2)
+        return [partial(source.tile, tile) for tile in source.tiles], source.origin + (low + high) / 2
     refuse_unwritable(source)
     order = morton_order(source.means.astype(np.float64))
     runs = [order[begin : begin + rows] for begin in range(0, len(order), rows)]
     middle = source.origin + (source.means.min(0).astype(np.float64) + source.means.max(0)) / 2
-    return Leaves([partial(source.subset, run) for run in runs], middle)
+    return [partial(source.subset, run) for run in runs], middle

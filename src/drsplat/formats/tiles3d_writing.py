@@ -12,6 +12,7 @@ Source: OGC 22-025r4, "3D Tiles Specification 1.1"; KHR_gaussian_splatting, KHR_
 (draft), EXT_mesh_features, EXT_structural_metadata.
 """
 
+import pickle
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Ids, Matrix4, OtherIds, Vector3
+from ..base.arrays import Ids, Matrix4, Vector3
 from ..base.contents import Document
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
@@ -30,29 +31,12 @@ from ..scene.merging import coarser
 from .axes import Z_UP_FROM_PLY, standing_as_ply
 from .field_folder import replacing_folder
 from .georeference import Georeference
-from .glb_tables import Table, object_table
-from .glb_writing import Binary, features_of, head_of, tables_document
-from .gltf import (
-    COLOR,
-    COLOR_SPACE,
-    FEATURE_ID,
-    FEATURES,
-    FLOAT,
-    HARMONICS,
-    KERNEL,
-    METADATA,
-    OPACITY,
-    POSITION,
-    ROTATION,
-    SCALE,
-    SPLATTING,
-    SPZ,
-    UNSIGNED_BYTE,
-)
+from .glb_tables import object_columns
+from .glb_writing import SPLAT_KINDS, Binary, features_of, head_of, tables_document
+from .gltf import COLOR, COLOR_SPACE, FEATURE_ID, FEATURES, FLOAT, HARMONICS, KERNEL, METADATA, POSITION, SPLATTING, SPZ
 from .json_files import write_json
 from .replacing import replacing
 from .spz_writing import TO_RUB, spz_bytes
-from .tensors import read_tensors, write_tensors
 from .tiles import Leaf, Tile, Tiles, leaves_of
 from .usd_writing import extent_of
 
@@ -63,7 +47,6 @@ TILESET = "tileset.json"
 LEAF_ROWS = 1 << 16
 CHILDREN = 4  # of a tile
 ERROR_QUANTILE = 0.95  # of how far merging moves the Gaussians: a tile's geometric error
-ARRAYS = ("means", "quats", "scales", "opacities", "sh")
 OBJECT = "object_of"  # the column with which numbers of objects go through merging
 
 
@@ -110,15 +93,14 @@ def write_tiles3d(
     source = TiledScene(source) if isinstance(source, Tiles) else source
     if isinstance(source, TiledScene):  # each tile is a leaf
         leaves: list[Leaf] = [partial(_tile_of, source, tile) for tile in source.tiles.tiles]
-        middle = leaves_of(source.tiles, LEAF_ROWS).middle
+        middle = leaves_of(source.tiles, LEAF_ROWS)[1]
     else:
         extra = {} if source.object_of is None else {OBJECT: source.object_of}
         leaves, middle = leaves_of(replace(source.gaussians, extra=extra), rows)
-    things = source.things
     scale = 1.0 if georeference is None else georeference.scale
     with replacing_folder(path, overwrite, TILESET) as folder:
         with tempfile.TemporaryDirectory(dir=folder) as waiting:
-            root = _Writer(folder, Path(waiting), middle, scale, things).tree(leaves)
+            root = _Writer(folder, Path(waiting), middle, scale, source.things).tree(leaves)
         document = _tileset(root, _transform(georeference, middle, source.up))
         write_json(folder / TILESET, document, end="", indent=None, separators=(",", ":"))
 
@@ -155,7 +137,7 @@ class _Writer:
             size *= CHILDREN
         step = max(1, size if len(leaves) > size else size // CHILDREN)
         children = [self.tree(leaves[begin : begin + step]) for begin in range(0, len(leaves), step)]
-        everything = concatenated([_read_aside(child.waiting) for child in children])
+        everything = concatenated([pickle.loads(child.waiting.read_bytes()) for child in children])
         for child in children:
             child.waiting.unlink()
         most = max(child.num_gaussians for child in children)
@@ -193,22 +175,9 @@ class _Writer:
         if children:
             tile |= {"refine": "REPLACE", "children": [child.tile for child in children]}
         waiting = self.waiting / name
-        _write_aside(waiting, gaussians)
+        with waiting.open("wb") as file:
+            pickle.dump(gaussians, file)
         return _Node(tile, waiting, len(gaussians), error, low, high)
-
-
-def _write_aside(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians as they are, to be read by `_read_aside`."""
-    arrays = {name: getattr(gaussians, name) for name in ARRAYS} | dict(gaussians.extra)
-    write_tensors(path, arrays | {"origin": gaussians.origin, "antialiased": np.array(gaussians.antialiased)})
-
-
-def _read_aside(path: Path) -> Gaussians:
-    """Return what `_write_aside` wrote."""
-    arrays, _ = read_tensors(path)
-    means, quats, scales, opacities, sh = (arrays[name] for name in ARRAYS)
-    objects = {OBJECT: arrays[OBJECT]} if OBJECT in arrays else {}
-    return Gaussians(means, quats, scales, opacities, sh, objects, arrays["origin"], bool(arrays["antialiased"]))
 
 
 def _tileset(root: _Node, transform: Matrix4) -> Document:
@@ -257,10 +226,11 @@ def content_glb(
     attributes = _declared(gaussians, binary)
     document: Document = {}
     if objects is not None and (objects >= 0).any():
-        used, table = _table_of(objects, things)
+        used, numbers = np.unique(objects[objects >= 0]), numbers_of(things)  # those that are in the tile
+        table = object_columns([things[place] for place in used], [numbers[place] for place in used])
         rows = np.where(objects < 0, -1, np.searchsorted(used, objects)).astype(np.int32)
         attributes[FEATURE_ID], extensions[FEATURES] = features_of(rows, len(used), binary)
-        document["extensions"] = {METADATA: tables_document([table], binary)}
+        document["extensions"] = {METADATA: tables_document({"objects": table}, binary)}
     names = [SPLATTING, SPZ, *([FEATURES] if FEATURES in extensions else []), *document.get("extensions", {})]
     document |= {
         "asset": {"version": "2.0", "generator": f"drsplat {__version__}"},
@@ -280,23 +250,12 @@ def content_glb(
 def _declared(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
     """Append accessors of what the SPZ stream holds, in which nothing is stored; returns the attributes they are of."""
     turned = gaussians.means * TO_RUB
-    kinds = {
-        POSITION: ("VEC3", FLOAT, {"min": turned.min(0).tolist(), "max": turned.max(0).tolist()}),
-        COLOR: ("VEC4", UNSIGNED_BYTE, {"normalized": True}),
-        ROTATION: ("VEC4", FLOAT, {}),
-        SCALE: ("VEC3", FLOAT, {}),
-        OPACITY: ("SCALAR", FLOAT, {}),
-    }
-    kinds |= {name: ("VEC3", FLOAT, {}) for name in HARMONICS[1 : gaussians.sh.shape[1]]}
+    further = {
+        POSITION: {"min": turned.min(0).tolist(), "max": turned.max(0).tolist()}, COLOR: {"normalized": True},
+    }  # fmt: skip
+    kinds = SPLAT_KINDS | dict.fromkeys(HARMONICS[1 : gaussians.sh.shape[1]], ("VEC3", FLOAT))
     binary.accessors += [
-        {"componentType": component, "count": len(gaussians), "type": kind, **more}
-        for kind, component, more in kinds.values()
+        {"componentType": component, "count": len(gaussians), "type": kind, **further.get(name, {})}
+        for name, (kind, component) in kinds.items()
     ]
     return {name: number for number, name in enumerate(kinds)}
-
-
-def _table_of(objects: Ids, things: Sequence[Thing]) -> tuple[OtherIds, Table]:
-    """Return the places of the objects that are in the tile, and their table."""
-    used = np.unique(objects[objects >= 0])
-    numbers = numbers_of(things)
-    return used, object_table([things[place] for place in used], [numbers[place] for place in used])

@@ -1,4 +1,4 @@
-"""Writing a scene and what was found in it as OpenUSD text (`.usda`), without a library.
+"""Writing a scene and what was found in it as OpenUSD: text without a library, binary by its own library.
 
 The Gaussians are one prim of the schema ParticleField3DGaussianSplat (OpenUSD 26.03) in the coordinates of the scene;
 the prim above it turns them so that up is +Y. Objects, groups, matches and annotations are prims beside it. Numbers
@@ -7,69 +7,118 @@ have the nine digits that float32 takes, so what is read back is what was writte
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
-from itertools import chain
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..base.arrays import Array, Float32
-from ..errors import InputError
+from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.labelled import Annotation, LabelledScene, Thing
 from .activation import refuse_unwritable
 from .axes import standing_up
 from .json_files import is_text
-from .replacing import replacing
+from .replacing import replacing, take_over
+from .usd import HARMONICS, SCHEMA, openusd
 
-BLOCK_ROWS = 1 << 12  # of an array that are made text at once
+BLOCK_ROWS = 1 << 12  # that are made text at once
 SUPPORT_SIGMAS = 3.0  # of the schema's kernel
 MAX_NAME_CHARACTERS = 64  # of a prim
 ROOT, SPLAT = "scene", "gaussians"
-VERTEX = 'interpolation = "vertex"'
+_ARRAYS = {
+    "point3f[]": "Vec3fArray", "float3[]": "Vec3fArray", "quatf[]": "QuatfArray", "float[]": "FloatArray",
+    "int[]": "IntArray",
+}  # fmt: skip
+_HEAD = f"""#usda 1.0
+(
+    defaultPrim = "{ROOT}"
+    doc = "written by drsplat"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+"""
+_VERTEX = 'interpolation = "vertex"\n        )'
+_PLACE = "\0"  # of the arrays in the text, which is in no name
+_TO_XYZW = [1, 2, 3, 0]  # of quaternions, whose real part the library keeps last
 
 
-class Column(NamedTuple):
-    """An array of the Gaussians' prim: its type and name in USD, its rows, and its metadata."""
-
-    kind: str
-    name: str
-    rows: Array
-    metadata: str = ""
+Columns = dict[str, tuple[Array, str]]
+"""Arrays of the Gaussians' prim and their metadata, by type and name."""
 
 
-def write_usda(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
-    """Write a scene as OpenUSD text, some thousand rows at a time.
+def write_usd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
+    """Write a scene as OpenUSD: text, some thousand rows at a time, where `path` ends in .usda, .usdc or .usdz.
 
     Raises: InputError: no Gaussians, or some that no file could give back; a name that is no text; `path` exists and
-    not `overwrite`.
+    not `overwrite`. MissingExtraError: a binary file, and no library.
     """
-    columns = columns_of(scene)
-    with replacing(path, overwrite) as file:
-        for piece in layer_text(scene, chain.from_iterable(map(_column_text, columns))):
-            file.write(piece.encode())
+    refuse_unwritable(scene.gaussians)
+    suffix, columns = path.suffix.lower(), _columns(scene)
+    if suffix == ".usda":
+        before, after = _layer_text(scene, _PLACE).split(_PLACE)
+        with replacing(path, overwrite) as file:
+            file.write(before.encode())
+            for declared, column in columns.items():
+                file.writelines(_column_text(declared, *column))
+            file.write(after.encode())
+        return
+    pxr = openusd()
+    layer = _layer_of(pxr, scene, columns)
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder, f"{ROOT}.usdc")
+        if not layer.Export(str(made)):
+            raise FormatError(f"OpenUSD could not write {path.name}")
+        if suffix == ".usdz":
+            with pxr.Sdf.ZipFileWriter.CreateNew(f"{made}.usdz") as writer:
+                writer.AddFile(str(made), made.name)
+            made = Path(f"{made}.usdz")
+        take_over(made, path, overwrite)
 
 
-def columns_of(scene: LabelledScene) -> list[Column]:
-    """Return the arrays of the Gaussians' prim. Raises: InputError: as `write_usda`."""
+def _columns(scene: LabelledScene) -> Columns:
     gaussians = scene.gaussians
-    refuse_unwritable(gaussians)
-    coefficients = gaussians.sh.reshape(-1, 3)
-    size = f"elementSize = {gaussians.sh.shape[1]}"
-    columns = [
-        Column("point3f[]", "positions", gaussians.means),
-        Column("quatf[]", "orientations", gaussians.quats),
-        Column("float3[]", "scales", gaussians.scales),
-        Column("float[]", "opacities", gaussians.opacities),
-        Column("float3[]", "radiance:sphericalHarmonicsCoefficients", coefficients, f"{size}\n{VERTEX}"),
-        Column("float3[]", "extent", extent_of(gaussians)),
-    ]
-    numbers = {"object_id": ("int[]", scene.object_numbers), "relevancy": ("float[]", scene.relevancy)}
-    columns += [
-        Column(kind, f"primvars:{name}", rows, VERTEX) for name, (kind, rows) in numbers.items() if rows is not None
-    ]
+    size = f" (\n            elementSize = {gaussians.sh.shape[1]}\n            {_VERTEX}"
+    columns: Columns = {
+        "point3f[] positions": (gaussians.means, ""),
+        "quatf[] orientations": (gaussians.quats, ""),
+        "float3[] scales": (gaussians.scales, ""),
+        "float[] opacities": (gaussians.opacities, ""),
+        f"float3[] {HARMONICS}": (gaussians.sh.reshape(-1, 3), size),
+        "float3[] extent": (extent_of(gaussians), ""),
+    }
+    if scene.object_numbers is not None:
+        columns["int[] primvars:object_id"] = scene.object_numbers, f" (\n            {_VERTEX}"
+    if scene.relevancy is not None:
+        columns["float[] primvars:relevancy"] = scene.relevancy, f" (\n            {_VERTEX}"
     return columns
+
+
+def _column_text(declared: str, rows: Array, metadata: str) -> Iterator[bytes]:
+    """Yield `type name = [...]` with its metadata, some thousand rows at a time."""
+    width = 1 if rows.ndim == 1 else rows.shape[1]
+    number = "%d" if rows.dtype.kind in "iu" else "%.9g"
+    row = number if width == 1 else f"({', '.join([number] * width)})"
+    yield f"        {declared} = [".encode()
+    for begin in range(0, len(rows), BLOCK_ROWS):
+        block = rows[begin : begin + BLOCK_ROWS]
+        yield ((", " if begin else "") + ", ".join([row] * len(block)) % tuple(block.ravel().tolist())).encode()
+    yield f"]{metadata}\n".encode()
+
+
+def _layer_of(pxr: Any, scene: LabelledScene, columns: Columns) -> Any:
+    """Return an open layer: its text without arrays is parsed by the library, and the arrays are set."""
+    layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
+    declarations = [f"        {declared}{metadata}\n" for declared, (_, metadata) in columns.items()]
+    layer.ImportFromString(_layer_text(scene, "".join(declarations)))
+    for declared, (rows, _) in columns.items():
+        kind, name = declared.split()
+        attribute = layer.GetAttributeAtPath(f"/{ROOT}/{SPLAT}.{name}")
+        ordered = rows[:, _TO_XYZW] if kind == "quatf[]" else rows
+        attribute.default = getattr(pxr.Vt, _ARRAYS[kind]).FromNumpy(np.ascontiguousarray(ordered))
+    return layer
 
 
 def extent_of(gaussians: Gaussians) -> Float32[Array, "2 3"]:
@@ -84,62 +133,45 @@ def extent_of(gaussians: Gaussians) -> Float32[Array, "2 3"]:
     return np.stack([low, high]).astype(np.float32)
 
 
-def layer_text(scene: LabelledScene, columns: Iterable[str]) -> Iterator[str]:
-    """Yield the layer. columns: text of the arrays of the Gaussians' prim, which a library may set itself."""
+def _layer_text(scene: LabelledScene, arrays: str) -> str:
+    """Return the layer. arrays: what stands for those of the Gaussians' prim."""
     gaussians = scene.gaussians
-    yield f'#usda 1.0\n(\n    defaultPrim = "{ROOT}"\n    doc = "written by drsplat"\n'
-    yield '    metersPerUnit = 1\n    upAxis = "Y"\n)\n\n'
-    yield (
-        f'def Xform "{ROOT}" (\n    displayName = {quoted(scene.title)}\n    kind = "component"\n)\n'
-        f"{{\n    custom double3 drsplat:up = {_tuple(scene.up)}\n"
-        f"    custom string drsplat:query = {quoted(scene.query)}\n"
-        f"    custom string drsplat:encoder = {quoted(scene.encoder)}\n"
-        f"    matrix4d xformOp:transform = {_matrix(standing_up(np.array(scene.up, np.float64)))}\n"
-        '    uniform token[] xformOpOrder = ["xformOp:transform"]\n\n'
-        f'    def ParticleField3DGaussianSplat "{SPLAT}"\n    {{\n'
-        f"        custom double3 drsplat:origin = {_tuple(gaussians.origin)}\n"
-        f"        custom bool drsplat:antialiased = {str(gaussians.antialiased).lower()}\n"
-        f"        uniform int radiance:sphericalHarmonicsDegree = {gaussians.sh_degree}\n"
-        '        uniform token sortingModeHint = "cameraDistance"\n'
-        f"        double3 xformOp:translate = {_tuple(gaussians.origin)}\n"
-        '        uniform token[] xformOpOrder = ["xformOp:translate"]\n'
-    )
-    yield from columns
-    yield "    }\n"
-    yield from _scope("groups", "group", scene.groups)
-    yield from _scope("objects", "object", scene.things)
-    yield from _scope("matches", "match", scene.matches)
-    yield from _notes(scene.annotations)
-    yield "}\n"
+    kinds = {
+        "groups": ("group", scene.groups),
+        "objects": ("object", scene.things),
+        "matches": ("match", scene.matches),
+    }
+    scopes = [
+        _scope(name, [_thing_text(kind, *one) for one in enumerate(some)]) for name, (kind, some) in kinds.items()
+    ]
+    notes = _scope("annotations", [_annotation_text(*each) for each in enumerate(scene.annotations)])
+    return f"""{_HEAD}
+def Xform "{ROOT}" (
+    displayName = {_quoted(scene.title)}
+    kind = "component"
+)
+{{
+    custom double3 drsplat:up = {_tuple(scene.up)}
+    custom string drsplat:query = {_quoted(scene.query)}
+    custom string drsplat:encoder = {_quoted(scene.encoder)}
+    matrix4d xformOp:transform = {_matrix(standing_up(np.array(scene.up, np.float64)))}
+    uniform token[] xformOpOrder = ["xformOp:transform"]
+
+    def {SCHEMA} "{SPLAT}"
+    {{
+        custom double3 drsplat:origin = {_tuple(gaussians.origin)}
+        custom bool drsplat:antialiased = {str(gaussians.antialiased).lower()}
+        uniform int radiance:sphericalHarmonicsDegree = {gaussians.sh_degree}
+        uniform token sortingModeHint = "cameraDistance"
+        double3 xformOp:translate = {_tuple(gaussians.origin)}
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+{arrays}    }}
+{"".join(scopes)}{notes}}}
+"""
 
 
-def _column_text(column: Column) -> Iterator[str]:
-    """Yield `type name = [...]` with its metadata, some thousand rows at a time."""
-    width = 1 if column.rows.ndim == 1 else column.rows.shape[1]
-    number = "%d" if column.rows.dtype.kind in "iu" else "%.9g"
-    row = number if width == 1 else f"({', '.join([number] * width)})"
-    yield f"        {column.kind} {column.name} = ["
-    for begin in range(0, len(column.rows), BLOCK_ROWS):
-        block = column.rows[begin : begin + BLOCK_ROWS]
-        yield (", " if begin else "") + ", ".join([row] * len(block)) % tuple(block.ravel().tolist())
-    metadata = column.metadata.replace("\n", "\n            ")
-    yield f"] (\n            {metadata}\n        )\n" if metadata else "]\n"
-
-
-def _scope(name: str, kind: str, things: tuple[Thing, ...]) -> Iterator[str]:
-    """Yield a prim that holds the boxes of things as cubes that are only drawn as guides."""
-    yield from _children(name, things, lambda number, thing: _thing_text(kind, number, thing))
-
-
-def _notes(annotations: tuple[Annotation, ...]) -> Iterator[str]:
-    yield from _children("annotations", annotations, _annotation_text)
-
-
-def _children(name: str, items: tuple[Any, ...], text_of: Callable[..., str]) -> Iterator[str]:
-    if items:
-        yield f'\n    def Scope "{name}"\n    {{\n'
-        yield from (text_of(number, item) for number, item in enumerate(items))
-        yield "    }\n"
+def _scope(name: str, prims: Sequence[str]) -> str:
+    return f'\n    def Scope "{name}"\n    {{\n{"".join(prims)}    }}\n' if prims else ""
 
 
 def _thing_text(kind: str, number: int, thing: Thing) -> str:
@@ -185,7 +217,7 @@ def _box_lines(center: Array, axes: Array, extent: Array) -> list[str]:
 def _prim_text(schema: str, kind: str, number: int, name: str, lines: list[str]) -> str:
     body = "\n            ".join([f'custom string drsplat:kind = "{kind}"', *lines])
     return (
-        f'        def {schema} "{prim_name(name, number)}" (\n            displayName = {quoted(name)}\n        )\n'
+        f'        def {schema} "{prim_name(name, number)}" (\n            displayName = {_quoted(name)}\n        )\n'
         f"        {{\n            {body}\n        }}\n"
     )
 
@@ -196,7 +228,7 @@ def prim_name(name: str, number: int) -> str:
     return f"{letters or 'thing'}_{number}" if not letters[:1].isdigit() else f"_{letters}_{number}"
 
 
-def quoted(text: str) -> str:
+def _quoted(text: str) -> str:
     """Return text in quotes, on one line. Raises: InputError: half a character, which no file can hold."""
     if not is_text(text):
         raise InputError(f"expected a name that can be written, got {text!a:.80}")

@@ -70,8 +70,6 @@ def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEnco
     'red mug'
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
     if path.suffix == ".safetensors":
         texts, vectors, stored = _read_safetensors(path)
     else:

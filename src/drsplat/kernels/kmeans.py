@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Arrays, ByteValues, Embeddings, Float32, Float64, Int, OtherIndices, UInt64
+from ..base.arrays import Arrays, Embeddings, Float32, Int, UInt64
 from ..base.working import HERE, Held, Work
 from .algebra import CENTROIDS, code_sums, pq_encode
 
@@ -56,8 +56,13 @@ class Centroids:
             served = counts > 0
             centroids[served] = sums[served] / counts[served][:, None]
             for m in np.flatnonzero(~served.all(1)):
+                # put centroids that serve no point on those that are served worst; copies gain nothing
                 columns = np.ascontiguousarray(parts[:, m].T, np.float64)
-                _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
+                distances = ((columns - centroids[m][codes[:, m]].T) ** 2).sum(0)
+                idle = np.flatnonzero(~served[m])
+                worst = np.argsort(-distances, kind="stable")[: len(idle)]
+                worst = worst[distances[worst] > 0]
+                centroids[m, idle[: len(worst)]] = columns[:, worst].T
             previous = codes
         return {"centroids": centroids}
 
@@ -78,13 +83,3 @@ def _starts(keys: UInt64[np.ndarray, " n"], rng: "np.random.Generator") -> Int[n
     if len(distinct) <= CENTROIDS:
         return np.pad(distinct, (0, CENTROIDS - len(distinct)), constant_values=distinct[0])
     return np.sort(rng.choice(distinct, CENTROIDS, replace=False))
-
-
-def _move_idle(
-    centroids: Float32[np.ndarray, "c d"], idle: OtherIndices, columns: Float64[np.ndarray, "d n"], codes: ByteValues
-) -> None:
-    """Put centroids that serve no point on those that are served worst."""
-    distances = ((columns - centroids[codes].T) ** 2).sum(0)
-    worst = np.argsort(-distances, kind="stable")[: len(idle)]
-    worst = worst[distances[worst] > 0]  # nothing is gained by a copy of a centroid
-    centroids[idle[: len(worst)]] = columns[:, worst].T

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Array, Matrix3, PlanePoints, Shaped, Vector3
+from ..base.arrays import Array, Matrix3, Shaped, Vector3
 from ..base.contents import Document
 from ..field.evidence.evidence import Explanation
 from ..field.objects.agreed import FEW_PHOTOS
@@ -19,7 +19,6 @@ from .objects import objects_of, photos_of
 from .scene import Scene
 
 SHARE_DECIMALS = 4
-CORNER_SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 DEGREE_DECIMALS, HEIGHT_DECIMALS = 9, 4  # a ten-thousandth of a metre
 
 
@@ -144,41 +143,20 @@ def earth_document(
     """
     if georeference is None:
         return {}
-    corners = center + CORNER_SIGNS * extent / 2 @ axes
-    local = corners @ georeference.enu_from_world.T
-    outline = hull(local[:, :2])
-    ring = local[[*outline, outline[0]]]
-    ring[:, 2] = local[:, 2].min()
-    places = georeference.positions(np.vstack([center, ring @ georeference.enu_from_world]))
+    sides = axes * extent[:, None] @ georeference.enu_from_world.T
+    middle, flat = georeference.enu_from_world @ center, sides[:, :2]
+    east, north = flat.T
+    flat = np.where(((east < 0) | ((east == 0) & (north < 0)))[:, None], -flat, flat)[flat.any(1)]
+    flat = flat[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]), kind="stable")]
+    # seen from above a box is a polygon of its sides, in the order of their directions, and of these again, backwards
+    ring = middle[:2] - flat.sum(0) / 2 + np.cumsum(np.concatenate([np.zeros((1, 2)), flat, -flat[:-1]]), axis=0)
+    local = np.column_stack([ring, np.full(len(ring), middle[2] - np.abs(sides[:, 2]).sum() / 2)])
+    places = georeference.positions(np.vstack([center, local[[*range(len(local)), 0]] @ georeference.enu_from_world]))
     here, *footprint = [_rounded(place) for place in places]
     return {
         "position": dict(zip(("longitude", "latitude", "height"), here, strict=True)),
         "footprint": {"type": "Polygon", "coordinates": [footprint]},
     }
-
-
-def hull(points: PlanePoints) -> list[int]:
-    """Return the points at the corners of their convex hull, anticlockwise.
-
-    Source: Andrew 1979, monotone chain.
-    """
-    order = np.lexsort((points[:, 1], points[:, 0])).tolist()
-    return _chain(points, order)[:-1] + _chain(points, order[::-1])[:-1]
-
-
-def _chain(points: PlanePoints, order: list[int]) -> list[int]:
-    chain: list[int] = []
-    for number in order:
-        while len(chain) > 1 and _turn(points[chain[-2]], points[chain[-1]], points[number]) <= 0:
-            chain.pop()
-        chain.append(number)
-    return chain
-
-
-def _turn(one: Array, two: Array, three: Array) -> float:
-    """Return a number above 0 where the way from one to two turns left towards three."""
-    (a, b), (c, d) = two - one, three - one
-    return float(a * d - b * c)
 
 
 def _rounded(place: Vector3) -> list[float]:

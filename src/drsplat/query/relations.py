@@ -100,9 +100,7 @@ def lies_in(gaussians: AnyGaussians, thing: Match, container: Match, up: Up) -> 
     foot, head = np.quantile(points @ up, (0.02, 0.98))
     heights = walls @ up
     around = (walls - points.mean(0))[(heights >= foot) & (heights <= head)]
-    east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    angles = np.arctan2(around @ np.cross(up, east), around @ east)
-    sectors = np.floor((angles / (2 * np.pi) + 0.5) * NUM_SECTORS).astype(int) % NUM_SECTORS
+    sectors = np.floor((_bearings(around, up) / (2 * np.pi) + 0.5) * NUM_SECTORS).astype(int) % NUM_SECTORS
     return len(np.unique(sectors)) >= MIN_WALLED_SECTORS
 
 
@@ -285,10 +283,14 @@ def contacts(gaussians: AnyGaussians, thing: Ids, part: Ids, others: Ids) -> tup
 
 def widest_gap(places: Points, middle: Up, up: Up) -> float:
     """Return the widest angle, seen from above, in which none of some places lies around a middle, in radians."""
-    east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    offsets = places - middle
-    angles = np.sort(np.arctan2(offsets @ np.cross(up, east), offsets @ east))
+    angles = np.sort(_bearings(places - middle, up))
     return float(np.diff(np.append(angles, angles[0] + 2 * np.pi)).max())
+
+
+def _bearings(offsets: Points, up: Up) -> Doubles:
+    """Return the angles, seen from above, at which some offsets point."""
+    east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    return np.asarray(np.arctan2(offsets @ np.cross(up, east), offsets @ east))
 
 
 def _centers(gaussians: AnyGaussians, ids: Ids) -> Points:

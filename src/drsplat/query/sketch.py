@@ -9,7 +9,6 @@ import numpy as np
 
 from ..base.arrays import (
     Arrays,
-    ArraysByName,
     ByteRows,
     Embedding,
     Embeddings,
@@ -27,6 +26,7 @@ from ..field import LanguageField
 from ..field.codes.code import Best, Hits
 from ..field.codes.mixture.scene_atoms import spherical_kmeans
 from ..field.labels import same_name
+from ..formats.tensors import check_tensors
 from ..kernels.mixture import nearest_centres
 from ..photos.models.word_list import list_vectors
 from ..scene.boxes import HAZE_OPACITY
@@ -47,6 +47,11 @@ MAX_PICTURES = 128
 MAX_ROWS = 20_000  # that all vectors together stand for; large scenes are thinned
 SEED = 0
 VECTORS, NUMBERS = ("features", "pictures", "words"), ("counts", "numbers", "solid")
+ARRAYS = {
+    "features": ("uint8", "f b"), "features_steps": ("float32", "d"), "counts": ("int32", "f"),
+    "numbers": ("int32", "f"), "pictures": ("uint8", "p b"), "pictures_steps": ("float32", "d"),
+    "words": ("uint8", "w b"), "words_steps": ("float32", "d"), "solid": ("int32", "o"), "labels": ("uint8", "l"),
+}  # fmt: skip
 LARGEST = 31  # of the numbers
 RELEVANCY_ERROR = 0.02  # that values of a sketch are off by: what lies nearer to the threshold is left out
 
@@ -61,20 +66,6 @@ class Packed:
 
     data: ByteRows
     steps: Embedding
-
-    @classmethod
-    def checked(cls, data: np.ndarray, steps: np.ndarray, dim: int) -> "Packed":
-        """Return vectors that come from a file. Raises: ValueError: other shapes or steps than they have."""
-        expected = 3 * _quarter(dim)
-        if data.dtype != np.uint8 or data.shape[1:] != (expected,):
-            raise ValueError(f"expected vectors of {expected} bytes, got {data.dtype} {data.shape}")
-        if steps.dtype != np.float32 or steps.shape != (dim,) or not ((steps >= 0) & (steps <= 1)).all():
-            raise ValueError(f"expected {dim} steps between 0 and 1")
-        return cls(data, steps)
-
-    @classmethod
-    def none(cls, dim: int) -> "Packed":
-        return cls(np.empty((0, 3 * _quarter(dim)), np.uint8), np.ones(dim, np.float32))
 
     @classmethod
     def of(cls, vectors: Embeddings) -> "Packed":
@@ -141,12 +132,11 @@ class Sketch:
         """Return it as a file of safetensors, six bits for each number of a vector."""
         from safetensors.numpy import save
 
-        arrays = {name: _narrow(getattr(self, name)) for name in NUMBERS}
+        arrays = {name: getattr(self, name) for name in NUMBERS}
         for name in VECTORS:
             packed = getattr(self, name)
-            arrays |= {name: packed.data, f"{name}_steps": packed.steps} if len(packed) else {}
-        arrays["labels"] = np.frombuffer(json.dumps(dict(self.labels)).encode(), np.uint8)
-        return bytes(save(arrays))
+            arrays |= {name: packed.data, f"{name}_steps": packed.steps}
+        return bytes(save(arrays | {"labels": np.frombuffer(json.dumps(dict(self.labels)).encode(), np.uint8)}))
 
     @classmethod
     def from_bytes(cls, data: bytes, dim: int) -> "Sketch":
@@ -156,20 +146,22 @@ class Sketch:
 
         try:
             arrays = load(data)
-            counts, numbers, solid = (arrays[name].astype(np.int32, casting="safe") for name in NUMBERS)
-            features, pictures, words = (_read(arrays, name, dim) for name in VECTORS)
-            for vectors in filter(len, (pictures, words)):
+            check_tensors(arrays, ARRAYS, "arrays")
+            features, pictures, words = (Packed(arrays[name], arrays[f"{name}_steps"]) for name in VECTORS)
+            if (features.dim, features.data.shape[1]) != (dim, 3 * _quarter(dim)):
+                raise ValueError(f"expected vectors of {dim} numbers")
+            if not all(((one.steps >= 0) & (one.steps <= 1)).all() for one in (features, pictures, words)):
+                raise ValueError("expected steps between 0 and 1")
+            for vectors in (pictures, words):
                 unit(vectors)
-            # read labels by the numbers of objects. Raises: ValueError, AttributeError: something else.
             labels = {int(key): label for key, label in json.loads(arrays["labels"].tobytes()).items()}
             if not all(type(label) is str for label in labels.values()):
                 raise ValueError("expected labels that are texts")
-        except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        except (SafetensorError, FormatError, ValueError, AttributeError, RecursionError) as error:
             raise FormatError(f"no sketch of a scene ({error!s:.200})") from error
-        # check a sketch. Raises: FormatError: numbers that do not fit each other, or more rows than sketches have.
-        fits = counts.shape == numbers.shape == (len(features),) and solid.ndim == 1
+        counts, numbers, solid = (arrays[name] for name in NUMBERS)
         most = MAX_ROWS + PEAK_ROWS * counts.size
-        if not fits or not len(pictures) or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
+        if not len(pictures) or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
             raise FormatError("a sketch of a scene whose parts do not fit each other")
         is_known = numbers.min(initial=-1) >= -1 and numbers.max(initial=-1) < len(solid)
         if not is_known or not all(0 <= number < len(solid) for number in labels):
@@ -209,18 +201,6 @@ def _summary(field: LanguageField, rows: OtherIndices, number: int) -> tuple[Emb
     means = [group.mean(0, dtype=np.float64) for group in groups]
     vectors = np.array(means, np.float32).reshape(len(groups), field.encoder.dim)
     return vectors, np.array([len(group) for group in groups], np.int32), np.full(len(groups), number, np.int32)
-
-
-def _narrow(numbers: Ids) -> WholeNumbers:
-    is_short = numbers.max(initial=0) <= np.iinfo(np.int16).max
-    return numbers.astype(np.int16) if is_short else numbers
-
-
-def _read(arrays: ArraysByName, name: str, dim: int) -> Packed:
-    """Return vectors; none where the file has none. Raises: KeyError, ValueError: something else."""
-    if name not in arrays:
-        return Packed.none(dim)
-    return Packed.checked(arrays[name], arrays[f"{name}_steps"], dim)
 
 
 def unit(packed: Packed) -> Embeddings:

@@ -16,12 +16,11 @@ from ..field.regrowing import field_during
 from ..formats.tiles import Tiles
 from ..kernels.boxes import box_of
 from ..scene.boxes import HAZE_OPACITY, solid
-from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, Span, canonical_of
 from ..scene.views import View
 from .answer import Match, MatchTrack
 from .query import Query
-from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
+from .relations import RELATIONS, SIDES, Relation, Up, is_beside, related
 from .tasks import meant_of
 
 if TYPE_CHECKING:
@@ -79,55 +78,38 @@ def runs(times: Doubles, holds: Flags) -> tuple[Span, ...]:
     return tuple((float(times[start]), float(times[end])) for start, end in zip(starts, ends, strict=True))
 
 
-def when(
-    moving: Moving, relation: Relation | Side, ones: Sequence[MatchTrack], others: Sequence[MatchTrack], up: Up | None,
-    view: View | None,
-) -> tuple[Span, ...]:  # fmt: skip
-    """Return the spans of time in which any of some matches stands in a relation to any of others, both there.
+def when_of(
+    scene: Scene, one: Match | Query | str, relation: str, other: Match | Query | str, view: View | str | None
+) -> tuple[Span, ...]:
+    """Do what `Scene.when` says: any of the first matches stands so to any of the others, both there.
 
-    view: the camera that left and right are meant from; it stands still. Source: docs/moving.md.
-
-    Raises: InputError: a relation of two others, of which this is none; left or right without a view, or another
-    relation where nobody knows what is up.
+    Source: docs/moving.md.
     """
+    known = (*RELATIONS, *SIDES)
+    if relation not in known:
+        raise InputError(f"relation: expected one of {', '.join(known)}; got '{relation[:60]}'")
     if relation == "between":
         raise InputError("when: 'between' has three ends; ask for on, in, next_to, above, left_of or right_of")
-    if relation in SIDES and view is None:
+    seen_from = scene.view(view) if isinstance(view, str) else view
+    if relation in SIDES and seen_from is None:
         raise InputError(f"'{relation}' is meant as seen from a camera: give view=NAME, a photo's or a View")
-    times = moving.times
-    pairs = list(product(ones, others))
-    holds = [
-        any(_holds(moving, float(time), relation, one, other, up, view) for one, other in pairs)
-        for time in times.tolist()
-    ]
+    ones, others = _meant(scene, one), _meant(scene, other)
+    tracked = scene.tracks([*ones, *others])
+    pairs = list(product(tracked[: len(ones)], tracked[len(ones) :]))
+    times = scene.moving.times
+    holds = [any(_holds(scene, relation, time, pair, seen_from) for pair in pairs) for time in times.tolist()]
     return runs(times, np.array(holds, np.bool_))
 
 
 def _holds(
-    moving: Moving, time: float, relation: Relation | Side, one: MatchTrack, other: MatchTrack, up: Up | None,
-    view: View | None,
+    scene: Scene, relation: str, time: float, pair: tuple[MatchTrack, MatchTrack], view: View | None
 ) -> bool:  # fmt: skip
-    first, second = one.at(time), other.at(time)
+    first, second = (track.at(time) for track in pair)
     if first is None or second is None:
         return False
-    if relation in ("left_of", "right_of"):
-        assert view is not None
+    if view is not None and relation in SIDES:
         return is_beside(view, relation, first, second)
-    gaussians: Gaussians = moving.at(time)
-    return bool(related(gaussians, cast("Relation", relation), [first], second, up=up))
-
-
-def when_of(
-    scene: Scene, one: Match | Query | str, relation: str, other: Match | Query | str, view: View | str | None
-) -> tuple[Span, ...]:
-    """Do what `Scene.when` says."""
-    known: dict[str, Relation | Side] = {name: name for name in (*RELATIONS, *SIDES)}
-    if relation not in known:
-        raise InputError(f"relation: expected one of {', '.join(known)}; got '{relation[:60]}'")
-    ones, others = _meant(scene, one), _meant(scene, other)
-    tracked = scene.tracks([*ones, *others])
-    seen_from = scene.view(view) if isinstance(view, str) else view
-    return when(scene.moving, known[relation], tracked[: len(ones)], tracked[len(ones) :], scene.up, seen_from)
+    return bool(related(scene.moving.at(time), cast("Relation", relation), [first], second, up=scene.up))
 
 
 def at_time(scene: Scene, time: float) -> Scene:

@@ -34,11 +34,8 @@ class EncoderIdentity:
         Names count where a hash is missing: a model keeps its weights when its folder gets another name.
         """
         same_model = self.weights == other.weights if self.weights and other.weights else self.name == other.name
-        return same_model and self.dim == other.dim and _agree(self.preprocessing, other.preprocessing)
-
-
-def _agree(first: str, second: str) -> bool:
-    return not (first and second) or first == second
+        both = {self.preprocessing, other.preprocessing} - {""}
+        return same_model and self.dim == other.dim and len(both) <= 1
 
 
 def identity_json(identity: EncoderIdentity) -> dict[str, object]:

@@ -59,7 +59,7 @@ def size_of(positions: AnyPoints) -> float:
 
 def middle_of(positions: AnyPoints) -> Vector3:
     """Return the median along each axis, in float64: the sum of two float32 may overflow float32."""
-    return np.asarray(np.median(positions.astype(np.float64), axis=0))
+    return np.median(positions.astype(np.float64), axis=0)
 
 
 def near_plane(means: AnyPoints, opacities: Float[Array, " n"] | None = None) -> float:
@@ -108,6 +108,7 @@ def rounding(coordinates: Float[Array, "..."]) -> float:
 
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
+UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # rows and columns of a covariance's six numbers
 SURFEL_THICKNESS = np.float32(1e-6)  # standard deviation of a surfel along its normal, scene units
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic: colour = 0.5 + SH_C0 * sh[:, 0]
 
@@ -266,7 +267,7 @@ def covariances_of(quats: Quats, scales: Vectors) -> Float64[Array, "6 n"]:
     lengths = scales.T.astype(np.float64, order="C")
     axes = [[number * length for number, length in zip(row, lengths, strict=True)] for row in turned]
     covariances = np.empty((6, len(quats)))
-    for at, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
+    for at, (i, j) in enumerate(UPPER):
         covariances[at] = axes[i][0] * axes[j][0] + axes[i][1] * axes[j][1] + axes[i][2] * axes[j][2]
     return covariances
 

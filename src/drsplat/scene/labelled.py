@@ -62,10 +62,9 @@ class Annotation:
             )
         if self.center.shape != (3,) or not (np.abs(self.center) <= MAX_COORDINATE).all():
             raise InputError(f"annotation '{self.text}': expected a place of three finite numbers")
-        if self.outline is not None:
-            self._check(*self.outline)
-
-    def _check(self, axes: Matrix3, extent: Vector3) -> None:
+        if self.outline is None:
+            return
+        axes, extent = self.outline
         if not ((extent > 0) & (extent <= MAX_COORDINATE)).all():
             raise InputError(f"annotation '{self.text}': expected a box of finite lengths above 0")
         if not np.abs(axes @ axes.T - np.eye(3)).max() <= ORTHONORMAL_TOLERANCE:

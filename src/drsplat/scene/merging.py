@@ -23,7 +23,7 @@ from ..base.arrays import (
     Vectors,
 )
 from ..errors import InputError
-from .gaussians import SH_C0, Gaussians
+from .gaussians import SH_C0, UPPER, Gaussians
 
 MERGE_NEIGHBOURS = 8  # of each Gaussian that it may be merged with
 MAX_MERGED_SHARE = 0.25  # of all rows in a pass: merged rows can merge again, so cheap pairs go first
@@ -89,7 +89,7 @@ def merged(gaussians: Gaussians, group_of: Indices) -> Gaussians:
     sums = _Sums(group_of, masses)
     means = sums.mean(gaussians.means.astype(np.float64))
     apart = gaussians.means - means[group_of]
-    spread = np.stack([apart[:, i] * apart[:, j] for i, j in _UPPER], 1)
+    spread = np.stack([apart[:, i] * apart[:, j] for i, j in UPPER], 1)
     quats, scales = shapes_of(sums.mean(gaussians.covariances() + spread))
     shown = np.bincount(group_of, gaussians.opacities * areas)
     alone = sums.sizes == 1
@@ -121,9 +121,6 @@ def masses_of(gaussians: Gaussians) -> Doubles:
     return np.maximum(gaussians.opacities, MIN_OPACITY) * areas_of(gaussians.scales)
 
 
-_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-
-
 class _Sums:
     """Weighted means of the rows of each group."""
 
@@ -135,13 +132,13 @@ class _Sums:
         self._weights = masses[self._order] / np.bincount(group_of, masses)[group_of[self._order]]
 
     def mean(self, values: DoubleRows | FloatRows) -> Float64[Array, "g k"]:
-        return np.asarray(np.add.reduceat(values[self._order] * self._weights[:, None], self._starts, axis=0))
+        return np.add.reduceat(values[self._order] * self._weights[:, None], self._starts, axis=0)
 
 
 def shapes_of(covariances: Float64[Array, "n 6"]) -> tuple[Quats, Vectors]:
     """Return rotations (w, x, y, z) and standard deviations of covariances, given as upper triangles."""
     matrices = np.empty((len(covariances), 3, 3))
-    for at, (i, j) in enumerate(_UPPER):
+    for at, (i, j) in enumerate(UPPER):
         matrices[:, i, j] = matrices[:, j, i] = covariances[:, at]
     variances, axes = np.linalg.eigh(matrices)
     axes[np.linalg.det(axes) < 0, :, 0] *= -1

@@ -88,7 +88,7 @@ class Parted:
         order = np.argsort(part, kind="stable")
         for at in np.split(order, np.flatnonzero(np.diff(part[order])) + 1) if len(order) else ():
             number = int(part[at[0]])
-            yield number, at, np.asarray(index[at] - self.starts[number])
+            yield number, at, index[at] - self.starts[number]
 
     def _shapes(self, number: int) -> Gaussians:
         with self._lock:

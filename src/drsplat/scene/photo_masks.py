@@ -1,7 +1,6 @@
 """Masks of photos: white pixels are used, black ones are not, as in COLMAP, nerfstudio and brush."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from warnings import warn
@@ -142,25 +141,18 @@ def keeps_nothing(view: View) -> bool:
         stamp = view.mask_path.stat()
     except OSError as error:
         raise FormatError(f"{view.mask_path}: cannot be read as a mask: {error.strerror}") from error
-    lens = None if view.distortion is None else (view.distortion, view.K.tobytes())
-    return _is_empty(_MaskedView(view, (view.mask_path, stamp.st_mtime_ns, stamp.st_size, view.mask_inverted, lens)))
-
-
-class _MaskedView:
-    """View that equals other views with the same mask, raster and lens: the key of `_is_empty`."""
-
-    def __init__(self, view: View, key: tuple[object, ...]) -> None:
-        self.key = (*key, view.image_path, view.width, view.height)
-        self.view = replace(view, cam_from_world=np.eye(4))
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _MaskedView) and self.key == other.key
+    changes = (stamp.st_mtime_ns, stamp.st_size)
+    return _is_empty(
+        view.mask_path, changes, view.mask_inverted, view.image_path, view.size, view.distortion, view.K.tobytes()
+    )
 
 
 @lru_cache(maxsize=_CACHED_MASKS)
-def _is_empty(masked: _MaskedView) -> bool:
-    mask = load_mask(masked.view)
-    return mask is not None and not mask.any()
+def _is_empty(
+    mask: Path, changes: tuple[int, int], inverted: bool, photo: Path | None, size: tuple[int, int],
+    distortion: tuple[float, float, float, float] | None, intrinsics: bytes,
+) -> bool:  # fmt: skip
+    K = np.frombuffer(intrinsics).reshape(3, 3)
+    view = View("", K, np.eye(4), *size, photo, distortion, mask_path=mask, mask_inverted=inverted)
+    kept = load_mask(view)
+    return kept is not None and not kept.any()

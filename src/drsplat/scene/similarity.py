@@ -37,7 +37,7 @@ class Similarity:
             gaussians,
             means=(positions - origin).astype(np.float32),
             quats=turned(gaussians.quats, self.rotation),
-            scales=np.asarray(gaussians.scales * np.float32(self.scale)),
+            scales=gaussians.scales * np.float32(self.scale),
             sh=self._harmonics(gaussians.sh),
             origin=origin,
         )

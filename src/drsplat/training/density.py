@@ -63,10 +63,8 @@ class AdaptiveDensity:
 
     def after_step(self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float) -> None:
         """Refine, where the schedule says so."""
-        if refines(self.settings, iteration):
-            self._refine(optimizer, iteration, rng)
-
-    def _refine(self, optimizer: Optimizer, iteration: int, rng: np.random.Generator) -> None:
+        if not refines(self.settings, iteration):
+            return
         small, large = self._chosen(optimizer)
         radii = np.concatenate([self.radii, self.radii[small], np.repeat(self.radii[large], SPLIT_CHILDREN)])
         clones = optimizer.rows(small)
@@ -118,10 +116,10 @@ def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.
     """
     twice = SceneParameters(*(np.concatenate([array] * SPLIT_CHILDREN) for array in parents))
     drawn = rng.standard_normal(twice.means.shape, np.float32)  # few: the host draws them for every device
-    local = placed(drawn, twice.means) * np.exp(twice.log_scales)
-    means = twice.means + rotated(twice.quats, local)
+    x, y, z = (placed(drawn, twice.means) * np.exp(twice.log_scales)).T
+    offsets = np.stack([a * x + b * y + c * z for a, b, c in rotation_rows(unit(twice.quats).T)], -1)
     log_scales = twice.log_scales - np.float32(math.log(shrink))
-    return twice._replace(means=means, log_scales=log_scales)
+    return twice._replace(means=twice.means + offsets, log_scales=log_scales)
 
 
 def add_opacity_penalty(optimizer: Optimizer, gradients: Slopes, weight: float) -> None:
@@ -133,8 +131,10 @@ def add_opacity_penalty(optimizer: Optimizer, gradients: Slopes, weight: float) 
 
 def reset_opacity(optimizer: Optimizer, ceiling: float) -> None:
     """Lower all opacities to `ceiling`; those that are needed grow back (3DGS Sec. 5.2)."""
-    logits = np.minimum(optimizer.parameters.logits, np.float32(_logit(ceiling)))
-    optimizer.replace_logits(logits)
+    logits = optimizer.parameters.logits
+    np.minimum(logits, np.float32(_logit(ceiling)), out=logits)
+    for moments in (optimizer.first, optimizer.second):
+        moments.logits[:] = 0
 
 
 def _logit(opacity: float) -> float:
@@ -144,12 +144,6 @@ def _logit(opacity: float) -> float:
 def unit(quats: Float32[Anywhere, "n 4"]) -> Float32[Anywhere, "n 4"]:
     w, x, y, z = quats.T
     return quats / np.sqrt(w * w + x * x + y * y + z * z)[:, None]
-
-
-def rotated(quats: Float32[Anywhere, "n 4"], vectors: Float32[Anywhere, "n 3"]) -> Float32[Anywhere, "n 3"]:
-    """Rotate vectors from the local axes of each row to the world."""
-    x, y, z = vectors.T
-    return np.stack([a * x + b * y + c * z for a, b, c in rotation_rows(unit(quats).T)], -1)
 
 
 def spread(
@@ -211,25 +205,21 @@ def relocate(optimizer: Optimizer, rng: np.random.Generator, min_opacity: float)
     """Move each dead Gaussian onto a living one, drawn by opacity; all on a place share it."""
     opacities = sigmoid(optimizer.parameters.logits)
     dead, alive = (np.flatnonzero(mask) for mask in (opacities <= min_opacity, opacities > min_opacity))
-    if len(dead) == 0 or len(alive) == 0:
-        return
-    chosen = alive[drawn(opacities[alive], len(dead), rng)]
-    _share(optimizer, chosen, min_opacity)
-    optimizer.overwrite(dead, optimizer.rows(chosen))
+    if len(dead) and len(alive):
+        chosen = alive[drawn(opacities[alive], len(dead), rng)]
+        optimizer.overwrite(dead, _shared(optimizer, chosen, min_opacity))
 
 
 def grow(optimizer: Optimizer, rng: np.random.Generator, growth: float, limit: int, min_opacity: float) -> None:
     """Add a share of new Gaussians, up to the limit, on places drawn by opacity."""
     count = min(limit, int((1 + growth) * len(optimizer))) - len(optimizer)
-    if count <= 0:
-        return
-    chosen = drawn(sigmoid(optimizer.parameters.logits), count, rng)
-    _share(optimizer, chosen, min_opacity)
-    optimizer.append(optimizer.rows(chosen))
+    if count > 0:
+        chosen = drawn(sigmoid(optimizer.parameters.logits), count, rng)
+        optimizer.append(_shared(optimizer, chosen, min_opacity))
 
 
-def _share(optimizer: Optimizer, chosen: Integer[Anywhere, " m"], min_opacity: float) -> None:
-    """Give the Gaussians at `chosen` what each of several on their place must have."""
+def _shared(optimizer: Optimizer, chosen: Integer[Anywhere, " m"], min_opacity: float) -> SceneParameters:
+    """Give the Gaussians at `chosen` what each of several on their place must have, and return it."""
     places, guests = np.unique(chosen, return_counts=True)
     parameters = optimizer.parameters
     opacities = sigmoid(parameters.logits[places]).astype(np.float64)
@@ -238,6 +228,7 @@ def _share(optimizer: Optimizer, chosen: Integer[Anywhere, " m"], min_opacity: f
     parameters.logits[places] = np.log(shared) - np.log1p(-shared)
     parameters.log_scales[places] += np.log(shrink)[:, None].astype(np.float32)
     optimizer.forget(places)
+    return optimizer.rows(chosen)
 
 
 def shared_place(
@@ -256,8 +247,7 @@ def shared_place(
         rows = sharing == n
         # the integral of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height
         opacity = each[rows]
-        terms = [comb(n, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, n + 1)]
-        total: Anywhere = sum(terms[1:], terms[0])
+        total: Anywhere = sum(comb(n, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, n + 1))
         shrink[rows] = opacities[rows] / total
     return each, shrink
 

@@ -2,8 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, cast
 
@@ -25,12 +24,11 @@ from ..kernels.cuda.training import (
 )
 from ..kernels.training import Rates, SceneParameters
 from ..scene.views import View
-from .keeper import Keeper
-from .loop import optimise, trained
+from .loop import trained
 from .optimizer import Optimizer, Slopes
 from .run import Beginning, Job, Outcome, Run, Training
 from .settings import active_sh_degree
-from .training_photos import Photo, TrainingPhotos
+from .training_photos import TrainingPhotos
 
 CURE = "limit them with max_gaussians=N, or train on smaller photos"
 MEMORY_DIVISOR = 4  # photos take at most a quarter of the free memory
@@ -39,20 +37,15 @@ MEMORY_DIVISOR = 4  # photos take at most a quarter of the free memory
 class DeviceOptimizer(Optimizer):
     """Parameters and moments on the device."""
 
-    def __init__(self, parameters: SceneParameters, engine: Engine) -> None:
-        super().__init__(parameters)
+    def __init__(self, engine: Engine, *arrays: SceneParameters) -> None:
+        super().__init__(*arrays)
         self.engine = engine
 
     @classmethod
     def sent(cls, optimizer: Optimizer, engine: Engine) -> "DeviceOptimizer":
         """Copy an optimizer to the device."""
-
-        def send(arrays: SceneParameters) -> SceneParameters:
-            return SceneParameters(*map(engine.xp.asarray, arrays))
-
-        device = cls(send(optimizer.parameters), engine)
-        device.first, device.second = send(optimizer.first), send(optimizer.second)
-        return device
+        groups = optimizer.parameters, optimizer.first, optimizer.second
+        return cls(engine, *(SceneParameters(*map(engine.xp.asarray, arrays)) for arrays in groups))
 
     def step(self, gradients: Slopes, rates: Rates, step: int, threads: int = 0) -> None:
         """Take one step of Adam, in place."""
@@ -78,22 +71,16 @@ class DevicePhotos:
         key = (index, view.width, view.height)
         if key not in self._kept:
             photo = self._photos[index]
-            fits = photo.pixels.shape[:2] == (view.height, view.width)
-            sent = self._sent(photo if fits else photo.smaller(*view.size))
+            if photo.pixels.shape[:2] != (view.height, view.width):
+                photo = photo.smaller(*view.size)
+            unused = None if photo.unused is None else self._xp.asarray(photo.unused.astype(np.uint8))
+            sent = DevicePhoto(self._xp.asarray(np.ascontiguousarray(photo.pixels)), unused)
             size = sum(array.nbytes for array in sent if array is not None)
             if size > self._room:
                 return sent
             self._kept[key] = sent
             self._room -= size
         return self._kept[key]
-
-    def _sent(self, photo: Photo) -> DevicePhoto:
-        pixels = self._xp.asarray(np.ascontiguousarray(photo.pixels))
-        if not len(photo.unused):
-            return DevicePhoto(pixels, None)
-        marks = np.zeros(photo.pixels.shape[:2], np.uint8)
-        marks.reshape(-1)[photo.unused] = 1
-        return DevicePhoto(pixels, self._xp.asarray(marks))
 
 
 class DeviceRun(Run):
@@ -128,9 +115,12 @@ class DeviceRun(Run):
     def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         view = self._view(index)
         target = self.targets.photo_on(index, view)
+        key = (index, view.width, view.height)
+        if key not in self._cameras:
+            self._cameras[key] = sent_view(self.engine, view, self.near)
         self._lap("photo")
         drawn = forward(
-            self.engine, self.optimizer.parameters, self._camera(index, view),
+            self.engine, self.optimizer.parameters, self._cameras[key],
             active_sh_degree(self.settings, self.iteration), self._background(), self.settings.antialiased,
         )  # fmt: skip
         self._lap("forward")
@@ -145,12 +135,6 @@ class DeviceRun(Run):
         self._lap("backward")
         outcome = Outcome(value, partial(_psnr, self.engine.xp, drawn.image, target))
         return outcome, gradients
-
-    def _camera(self, index: int, view: View) -> DeviceView:
-        key = (index, view.width, view.height)
-        if key not in self._cameras:
-            self._cameras[key] = sent_view(self.engine, view, self.near)
-        return self._cameras[key]
 
 
 def _psnr(xp: Any, image: Any, photo: DevicePhoto) -> float:
@@ -167,15 +151,7 @@ def train(job: Job, engine: Engine | None = None) -> Training:
 
     Raises: as `loop.train`, and MissingExtraError: no GPU, or no CuPy. DrSplatError: the device's memory is full.
     """
-    return trained(job, partial(DeviceRun, engine=engine or cuda_engine()), _optimise)
-
-
-def _optimise(run: DeviceRun, keeper: Keeper, job: Job) -> None:
-    with _memory_explained(run):
-        optimise(run, keeper, job)
-
-
-@contextmanager
-def _memory_explained(run: DeviceRun) -> Iterator[None]:
-    with memory_explained(lambda: f"at {len(run):,} Gaussians, in iteration {run.iteration}: {CURE}"):
-        yield
+    return trained(
+        job, partial(DeviceRun, engine=engine or cuda_engine()),
+        lambda run: memory_explained(lambda: f"at {len(run):,} Gaussians, in iteration {run.iteration}: {CURE}"),
+    )  # fmt: skip

@@ -1,7 +1,7 @@
 """Held-out photos against renderings from their places: numbers and pictures."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,10 +34,6 @@ class Evaluation:
     psnr: float
     ssim: float
     views: tuple[ViewScore, ...]
-
-    def plain(self) -> dict[str, object]:
-        """Return it as JSON has it."""
-        return asdict(self)
 
 
 def evaluate(
@@ -96,5 +92,6 @@ def _score(name: str, image: Image, photo: Photo) -> ViewScore:
 def side_by_side(image: Image, photo: Photo) -> UInt8[np.ndarray, "h w3 3"]:
     """Draw photo, rendering, and four times their difference."""
     error = np.abs(image - photo.colors()) * np.float32(ERROR_GAIN)
-    error.reshape(-1, 3)[photo.unused] = 0
+    if photo.unused is not None:
+        error[photo.unused] = 0
     return np.concatenate([photo.pixels, as_pixels(image), as_pixels(error)], axis=1)

@@ -6,38 +6,28 @@ A run that was killed and goes on ends with the same bits as one that was not.
 import hashlib
 import json
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import ArraysByName, Vector3
 from ..errors import FormatError, InputError, MismatchError, warn
 from ..formats.captures import SparsePoints
-from ..formats.ply import read_point_ply
-from ..formats.tensors import check_tensors, hash_file, read_tensors, write_tensors
+from ..formats.tensors import hash_file, read_tensors, write_tensors
 from ..scene.views import View
 from .evaluation import Evaluation, evaluate
 from .model_folder import ModelFolder
 from .run import Job, Run, Training
-from .settings import TrainingSettings, same_until
+from .settings import same_until
 from .start import Split
-from .start_points import Start, start_points
+from .start_points import Start
 from .training_photos import TrainingPhotos
 from .transients import with_masks, without_transients
 
 CHECKPOINT_S = 120.0
 MAX_SCORED_TRAIN_PHOTOS = 16
-VERSION = "2"
-_ROWS = {"means": "n axis", "log_scales": "n axis", "quats": "n four", "logits": "n", "sh": "n coefficient axis"}
-EXPECTED = {
-    f"{group}.{name}": ("float32", dimensions)
-    for group in ("parameters", "first", "second")
-    for name, dimensions in _ROWS.items()
-} | {"order.pending": ("int64", "pending")}
-OF_DENSITY = {f"density.{name}": ("float32", "n") for name in ("pull", "times_seen", "radii")}
-TEXTS = ("iteration", "iterations", "rng", "seconds", "stage_seconds", "history", "start", "settings", "capture")
+VERSION = "3"
 
 
 def capture_fingerprint(views: Sequence[View], points: SparsePoints | None) -> str:
@@ -88,44 +78,27 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
         arrays, texts = read_tensors(path)
     except FormatError as error:
         raise FormatError(f"{error}: remove it to start anew") from error
-    if texts.get("version") != VERSION or not all(name in texts for name in TEXTS):
+    if texts.get("version") != VERSION:
         raise FormatError(f"{path}: expected a checkpoint of version {VERSION}: remove it to start anew")
-    changed = _changed(texts, run, capture)
+    settings = _differing(texts["settings"], run.settings.fingerprint)
+    changed = [f"settings ({', '.join(settings)})"] if settings else []
+    changed += _differing(texts["capture"], capture)
     if changed:
         raise MismatchError(
             f"{path} is of a run with other {' and '.join(changed)}: go on with the same ones, name another "
             "output folder, or start anew with overwrite=True"
         )
-    is_default = run.settings.strategy == "default"
-    check_tensors(arrays, EXPECTED | (OF_DENSITY if is_default else {}), str(path))
     try:
-        _check_values(arrays, texts, run)
         run.restore(arrays, texts)
     except (ValueError, TypeError, KeyError) as error:
         raise FormatError(f"{path}: damaged: {error}: remove it to start anew") from error
     _check_length(path, run, int(texts["iterations"]))
 
 
-def _changed(texts: Mapping[str, str], run: Run, capture: str) -> list[str]:
-    """Return what differs: settings, poses, photos, points."""
-    names = [] if texts["settings"] == run.settings.fingerprint else [_settings_text(texts["settings"], run)]
-    if texts["capture"] == capture:
-        return names
-    try:
-        before, now = json.loads(texts["capture"]), json.loads(capture)
-        return names + [name for name in now | before if before.get(name) != now.get(name)]
-    except (ValueError, AttributeError):
-        return [*names, "inputs"]
-
-
-def _settings_text(before: str, run: Run) -> str:
-    """Return "settings" with the names of those that differ, where the checkpoint tells."""
-    try:
-        then, now = json.loads(before), json.loads(run.settings.fingerprint)
-        names = sorted(name for name in then | now if then.get(name) != now.get(name))
-    except (ValueError, TypeError, AttributeError):
-        return "settings"
-    return f"settings ({', '.join(names)})"
+def _differing(before: str, now: str) -> list[str]:
+    """Return the names of what differs between two objects in JSON."""
+    old, new = json.loads(before), json.loads(now)
+    return [name for name in new | old if old.get(name) != new.get(name)]
 
 
 def _check_length(path: Path, run: Run, planned: int) -> None:
@@ -146,39 +119,6 @@ def _check_length(path: Path, run: Run, planned: int) -> None:
             "one",
             4,
         )
-
-
-def _check_values(arrays: ArraysByName, texts: Mapping[str, str], run: Run) -> None:
-    """Check a checkpoint's values. Raises: ValueError: sizes or indices that a run of these settings cannot have."""
-    for name, array in run.optimizer.state().items():
-        if arrays[name].shape[1:] != array.shape[1:]:
-            raise ValueError(f"{name} has rows {arrays[name].shape[1:]}, not {array.shape[1:]}")
-    pending = arrays["order.pending"]
-    if len(pending) and not (pending.min() >= 0 and pending.max() < len(run.views)):
-        raise ValueError(f"a view beyond the {len(run.views)} there are")
-    if not 0 <= int(texts["iteration"]) < int(texts["iterations"]):
-        raise ValueError(f"iteration {texts['iteration']}")
-
-
-def start_of(
-    folder: ModelFolder | None,
-    points: SparsePoints | None,
-    views: Sequence[View],
-    settings: TrainingSettings,
-    rng: np.random.Generator,
-    origin: Vector3,
-    *,
-    threads: int = 0,
-) -> Start:
-    """Return `start_points`, or what the run in the folder started from, which need not be found again.
-
-    origin: of the frame of `points`, `views` and the answer, in the world, whose coordinates the folder has.
-
-    Raises: as `start_points`.
-    """
-    if folder is not None and folder.goes_on and folder.start.is_file():
-        return Start(SparsePoints(*read_point_ply(folder.start)).moved(-origin))
-    return start_points(points, views, settings, rng, threads=threads)
 
 
 class Keeper:
@@ -206,21 +146,18 @@ class Keeper:
             if 0 < run.settings.transients_at < run.iteration:
                 self._show(with_masks(self._views, self.masks))
             folder.results.unlink(missing_ok=True)  # until there are those of this length
-            folder.write_settings(views, run.settings)
         else:
             folder.write_start(views, start.points.moved(run.origin))
-            folder.write_settings(views, run.settings)
-            self._checkpoint()  # whatever is written from here on can be gone on with
+        folder.write_settings(views, run.settings)
+        if not folder.goes_on:
+            self._checkpoint(folder)  # whatever is written from here on can be gone on with
 
     def leave_transients_out(self) -> None:
         """Look for what moves between the photos, and train on without it; keep the masks."""
         begin = time.perf_counter()
-        self._show(
-            without_transients(
-                self.split.train, self.run.optimizer.gaussians(), self.masks,
-                held_out=self.split.test, threads=self.job.threads,
-            )
-        )  # fmt: skip
+        train, held_out = self.split
+        gaussians, threads = self.run.optimizer.gaussians(), self.job.threads
+        self._show(without_transients(train, gaussians, self.masks, held_out=held_out, threads=threads))
         self.run.seconds += time.perf_counter() - begin
 
     def _show(self, views: Sequence[View]) -> None:
@@ -234,68 +171,46 @@ class Keeper:
 
     def after_step(self, interrupted: bool) -> None:
         """Evaluate and save where it is time. Raises: KeyboardInterrupt: `interrupted`; all is in the checkpoint."""
-        run, settings = self.run, self.run.settings
+        run, settings, folder = self.run, self.run.settings, self.folder
         if run.iteration == settings.iterations:
             return
         if settings.evaluate_every and run.iteration % settings.evaluate_every == 0:
             self._note()
-        if self.folder is not None:
-            self._keep(self.folder, interrupted)
+        at = f"after iteration {run.iteration:,} of {settings.iterations:,}"
+        if folder is not None:
+            if run.iteration in self.job.save_at:
+                folder.write_scene(run.iteration, run.gaussians())
+            late = time.monotonic() - self.saved > CHECKPOINT_S
+            # from the last but one, a longer run goes on as if it had been planned so
+            last = run.iteration == settings.iterations - 1
+            if late or last or interrupted or run.iteration % self.job.checkpoint_every == 0:
+                self._checkpoint(folder)
+            at = f"{at}, which {folder.checkpoint} holds: the same command, without overwrite=True, goes on from there"
         if interrupted:
-            raise KeyboardInterrupt(self._how_to_go_on())
+            raise KeyboardInterrupt(at)
 
-    def _keep(self, folder: ModelFolder, interrupted: bool) -> None:
-        run = self.run
-        if run.iteration in self.job.save_at:
-            folder.write_scene(run.iteration, run.gaussians())
-        late = time.monotonic() - self.saved > CHECKPOINT_S
-        # from the last but one, a longer run goes on as if it had been planned so
-        last = run.iteration == run.settings.iterations - 1
-        if late or last or interrupted or run.iteration % self.job.checkpoint_every == 0:
-            self._checkpoint()
-
-    def _checkpoint(self) -> None:
-        if self.folder is None:
-            raise InputError("a run without a folder keeps no checkpoint")
-        save_checkpoint(self.folder.checkpoint, self.run, self.capture)
+    def _checkpoint(self, folder: ModelFolder) -> None:
+        save_checkpoint(folder.checkpoint, self.run, self.capture)
         self.saved = time.monotonic()
 
-    def _how_to_go_on(self) -> str:
-        at = f"after iteration {self.run.iteration:,} of {self.run.settings.iterations:,}"
-        if self.folder is None:
-            return at
-        return (
-            f"{at}, which {self.folder.checkpoint} holds: the same command, without overwrite=True, goes on from there"
-        )
-
     def _note(self) -> None:
-        scores = self._tested(None)
+        scores = self._evaluated(self.split.test, self.test_photos)
         if scores is not None:
-            entry: dict[str, object] = {
-                "iteration": self.run.iteration,
-                "psnr_test": scores.psnr,
-                "ssim_test": scores.ssim,
-                "num_gaussians": len(self.run.optimizer),
-                "seconds": self.run.seconds,
-            }
-            self.run.history.append(entry)
+            self.run.history.append(
+                {
+                    "iteration": self.run.iteration, "psnr_test": scores.psnr, "ssim_test": scores.ssim,
+                    "num_gaussians": len(self.run.optimizer), "seconds": self.run.seconds,
+                }
+            )  # fmt: skip
 
-    def _tested(self, pictures: Path | None) -> Evaluation | None:
+    def _evaluated(
+        self, views: Sequence[View], photos: TrainingPhotos, pictures: Path | None = None
+    ) -> Evaluation | None:
         run = self.run
         return evaluate(
-            run.optimizer.on_host(), self.split.test, self.test_photos, run.settings,
+            run.optimizer.on_host(), views, photos, run.settings,
             near=run.near, pictures=pictures, threads=self.job.threads,
         )  # fmt: skip
-
-    def _psnr_train(self, count: int) -> float:
-        """Return the PSNR on `count` evenly spaced training photos."""
-        views = self.split.train
-        chosen = np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)
-        some = [views[index] for index in chosen]
-        photos = TrainingPhotos(some, 0)
-        run = self.run
-        scores = evaluate(run.optimizer.on_host(), some, photos, run.settings, near=run.near, threads=self.job.threads)
-        return scores.psnr if scores else float("nan")
 
     def finish(self) -> Training:
         """Measure, write the scene and, last, the results. The checkpoint stays, for a longer run."""
@@ -303,26 +218,27 @@ class Keeper:
         gaussians = run.gaussians()
         if folder is not None:
             folder.write_scene(run.settings.iterations, gaussians)
-        evaluation = self._tested(folder.test_pictures if folder else None)
-        train = self._psnr_train(min(max(len(self.split.test), 1), MAX_SCORED_TRAIN_PHOTOS))
+        pictures = folder.test_pictures if folder else None
+        evaluation = self._evaluated(self.split.test, self.test_photos, pictures)
+        # of as many photos that it was trained on, evenly spaced
+        views, count = self.split.train, min(max(len(self.split.test), 1), MAX_SCORED_TRAIN_PHOTOS)
+        chosen = np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)
+        some = [views[index] for index in chosen]
+        scores = self._evaluated(some, TrainingPhotos(some, 0))
+        train = scores.psnr if scores else float("nan")
         training = Training(
             gaussians, run.settings, evaluation, run.seconds, run.stage_seconds, run.history, train, run.start,
             sum(view.mask_path is not None for view in self._views), self.num_transient,
         )  # fmt: skip
-        _warn_of_fog(training)
+        if evaluation is not None and training.held_out_far_below:
+            warn(
+                f"held-out photos are rendered at {evaluation.psnr:.1f} dB, those trained on at {train:.1f}: the scene "
+                "looks right only from where it was photographed, as fog does, and searching it will disappoint. More "
+                "photos from places in between help, as do sharper ones, right poses, and points to start from "
+                "(points=FILE)",
+                3,
+            )
         if folder is not None:
-            details = {"history": run.history, "test": evaluation.plain() if evaluation else None}
+            details = {"history": run.history, "test": asdict(evaluation) if evaluation else None}
             folder.write_json("results.json", training.measures() | details)
         return training
-
-
-def _warn_of_fog(training: Training) -> None:
-    test = training.evaluation
-    if test is None or not training.held_out_far_below:
-        return
-    warn(
-        f"held-out photos are rendered at {test.psnr:.1f} dB, those trained on at {training.psnr_train:.1f}: the scene "
-        "looks right only from where it was photographed, as fog does, and searching it will disappoint. More photos "
-        "from places in between help, as do sharper ones, right poses, and points to start from (points=FILE)",
-        4,
-    )

@@ -5,17 +5,20 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from .keeper import Keeper, start_of
+from ..formats.captures import SparsePoints
+from ..formats.ply import read_point_ply
+from .keeper import Keeper
 from .model_folder import model_folder
 from .optimizer import Optimizer
 from .run import Beginning, Job, R, Run, Status, Training
 from .start import first_gaussians, local_capture, split_views
+from .start_points import Start, start_points
 
 PSNR_EVERY, PSNR_MEMORY = 10, 0.95
 
@@ -26,21 +29,27 @@ def train(job: Job) -> Training:
     Raises: as `devices.train`.
     Source: 3DGS; 3DGS as MCMC.
     """
-    return trained(job, Run, optimise)
+    return trained(job, Run, lambda _: nullcontext())
 
 
-def trained(job: Job, run_of: Callable[[Beginning], R], optimise: Callable[[R, Keeper, Job], None]) -> Training:
-    """Run a job from its photos to its results, on any device."""
+def trained(
+    job: Job, run_of: Callable[[Beginning], R], guarded: Callable[[R], AbstractContextManager[None]]
+) -> Training:
+    """Run a job from its photos to its results, on any device. guarded: context of the optimisation."""
     settings = job.settings
     split, points, origin = local_capture(split_views(job.views, settings.test_every), job.points)
     rng = np.random.default_rng(settings.seed)
     with model_folder(job.output_dir, job.overwrite) as folder, TemporaryDirectory(prefix="drsplat-") as place:
-        start = start_of(folder, points, split.train, settings, rng, origin, threads=job.threads)
+        if folder is not None and folder.goes_on and folder.start.is_file():  # in the world's coordinates
+            start = Start(SparsePoints(*read_point_ply(folder.start)).moved(-origin))
+        else:
+            start = start_points(points, split.train, settings, rng, threads=job.threads)
         optimizer = Optimizer(first_gaussians(start.points, settings))
         run = run_of(Beginning(split.train, settings, optimizer, rng, origin))
         keeper = Keeper(run, split, folder, job, Path(place))
         keeper.begin(points, start)
-        optimise(run, keeper, job)
+        with guarded(run):
+            optimise(run, keeper, job)
         return keeper.finish()
 
 

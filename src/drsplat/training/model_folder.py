@@ -67,9 +67,6 @@ class ModelFolder:
         self.test_pictures = self.path / "test"
         self.masks = self.path / MASKS
 
-    def scene(self, iteration: int) -> Path:
-        return self.path / "point_cloud" / f"iteration_{iteration}" / "point_cloud.ply"
-
     def prepare(self, overwrite: bool) -> None:
         """Take the folder over; a run that is in it goes on, unless `overwrite`.
 
@@ -78,18 +75,16 @@ class ModelFolder:
         if overwrite:
             self._clear()
         self.goes_on = self.checkpoint.is_file()
-        if not (overwrite or self.goes_on or self._is_fresh()):
+        names = [file.name for file in self.path.iterdir()]
+        left_behind = list(filter(_LEFT_BEHIND.fullmatch, names))
+        early = {"cameras.json", "cfg_args", "settings.json", "input.ply", LOCK}  # before the first checkpoint
+        if not (overwrite or self.goes_on or early.union(left_behind).issuperset(names)):
             raise InputError(
                 f"{self.path} is not empty and holds no run to go on with: pass overwrite=True "
                 "to replace the model in it, or name another output folder"
             )
-        for name in filter(_LEFT_BEHIND.fullmatch, [file.name for file in self.path.iterdir()]):
+        for name in left_behind:
             (self.path / name).unlink(missing_ok=True)
-
-    def _is_fresh(self) -> bool:
-        """Return whether nothing is in it but what a run writes before its first checkpoint."""
-        early = {"cameras.json", "cfg_args", "settings.json", "input.ply", LOCK}
-        return all(file.name in early or _LEFT_BEHIND.fullmatch(file.name) for file in self.path.iterdir())
 
     def _clear(self) -> None:
         """Remove what another run may have left and this one might not replace."""
@@ -118,7 +113,9 @@ class ModelFolder:
     def write_settings(self, views: Sequence[View], settings: TrainingSettings) -> None:
         """Write settings.json, and cfg_args: the arguments of 3DGS that other tools read back, as it writes them."""
         self.write_json("settings.json", asdict(settings))
-        source, images = _source_and_images(views[0])
+        source, images = photo_folder(views[0]), "."
+        if source.name.startswith("images"):
+            source, images = source.parent, source.name
         arguments = {
             "data_device": "cpu", "eval": settings.test_every > 0, "images": images,
             "model_path": str(self.path.absolute()), "resolution": -1, "sh_degree": settings.sh_degree,
@@ -129,18 +126,10 @@ class ModelFolder:
             file.write(text.encode())
 
     def write_scene(self, iteration: int, gaussians: Gaussians) -> Path:
-        path = self.scene(iteration)
+        path = self.path / "point_cloud" / f"iteration_{iteration}" / "point_cloud.ply"
         path.parent.mkdir(parents=True, exist_ok=True)
         write_gaussians(path, gaussians, overwrite=True)
         return path
 
     def write_json(self, name: str, document: object) -> None:
         write_json(self.path / name, document, overwrite=True, end="")
-
-
-def _source_and_images(view: View) -> tuple[Path, str]:
-    """Return the capture's folder and that of its photos in it, from the place of a view's photo."""
-    folder = photo_folder(view)
-    if folder.name.startswith("images"):
-        return folder.parent, folder.name
-    return folder, "."

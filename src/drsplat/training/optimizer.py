@@ -24,10 +24,10 @@ class Optimizer:
     and new rows, as in the original.
     """
 
-    def __init__(self, parameters: SceneParameters) -> None:
+    def __init__(self, parameters: SceneParameters, *moments: SceneParameters) -> None:
+        """Begin with these moments, first and second, or with zeros."""
         self.parameters = parameters
-        self.first = _zeros_like(parameters)
-        self.second = _zeros_like(parameters)
+        self.first, self.second = moments or (_zeros_like(parameters), _zeros_like(parameters))
 
     def __len__(self) -> int:
         return len(self.parameters.means)
@@ -75,12 +75,6 @@ class Optimizer:
             for array in moment:
                 array[rows] = 0
 
-    def replace_logits(self, logits: Float32[Anywhere, " n"]) -> None:
-        """Set all opacities anew, and forget their moments."""
-        self.parameters.logits[:] = logits
-        self.first.logits[:] = 0
-        self.second.logits[:] = 0
-
     def rows(self, rows: Rows) -> SceneParameters:
         """Return copies of the parameters of some Gaussians."""
         return _rows(self.parameters, rows)
@@ -111,13 +105,11 @@ class Optimizer:
     @classmethod
     def from_state(cls, state: ArraysByName) -> "Optimizer":
         """Return the optimizer of what `state` returned; arrays are copied."""
-        groups = [
+        groups = (
             SceneParameters(*(np.array(state[f"{group}.{name}"], np.float32) for name in FLOATING))
             for group in ("parameters", "first", "second")
-        ]
-        optimizer = cls(groups[0])
-        optimizer.first, optimizer.second = groups[1:]
-        return optimizer
+        )
+        return cls(*groups)
 
 
 def _zeros_like(parameters: SceneParameters) -> SceneParameters:

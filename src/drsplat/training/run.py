@@ -17,7 +17,7 @@ import numpy as np
 from ..base.arrays import Anywhere, Arrays, ArraysByName, Float32, Image, Vector3
 from ..errors import DrSplatError, InputError
 from ..formats.captures import SparsePoints
-from ..kernels.training import Rates, TrainingView, forward, photometric_loss
+from ..kernels.training import Rates, forward, photometric_loss
 from ..scene.gaussians import Gaussians, near_plane
 from ..scene.views import View
 from .density import AdaptiveDensity, MonteCarlo
@@ -124,6 +124,7 @@ class Training:
 
 FINITE_CHECK_EVERY = 100
 MIN_SIDE_PIXELS = 32  # of a photo that is made coarse; three windows of SSIM
+FACTS = ("iteration", "seconds", "stage_seconds", "history", "start")
 STAGES = ("photo", "forward", "loss", "backward", "optimizer", "density")
 
 
@@ -142,10 +143,15 @@ class Run:
         self.settings = beginning.settings
         self.optimizer = self._placed(beginning.optimizer)
         self.near = near_plane(beginning.optimizer.parameters.means)
+        self.photos = TrainingPhotos(beginning.views, self.settings.photo_memory_bytes)
         self.show(beginning.views)
         self.extent = scene_extent(self.views)
         self.order = ViewOrder(len(self.views))
-        self.density = self._density()
+        self.density = (
+            MonteCarlo(self.settings, self.extent, len(self))
+            if self.settings.strategy == "mcmc"
+            else AdaptiveDensity(self.settings, self.extent, len(self), self._zeros)
+        )
         self.iteration = 0
         self.seconds = 0.0
         self.history: list[dict[str, object]] = []
@@ -155,11 +161,7 @@ class Run:
 
     def show(self, views: Sequence[View]) -> None:
         """Take these photos from now on: the same ones, perhaps with other masks."""
-        known = getattr(self, "photos", None)
-        self.photos = (
-            TrainingPhotos(views, self.settings.photo_memory_bytes) if known is None else known.with_masks_of(views)
-        )
-        self.views = views
+        self.photos, self.views = self.photos.with_masks_of(views), views
 
     def __len__(self) -> int:
         """Return the present number of Gaussians."""
@@ -168,11 +170,6 @@ class Run:
     def _placed(self, optimizer: Optimizer) -> Optimizer:
         """Return the optimizer where its steps are taken."""
         return optimizer
-
-    def _density(self) -> MonteCarlo | AdaptiveDensity:
-        if self.settings.strategy == "mcmc":
-            return MonteCarlo(self.settings, self.extent, len(self))
-        return AdaptiveDensity(self.settings, self.extent, len(self), self._zeros)
 
     @property
     def _zeros(self) -> Callable[..., Anywhere]:
@@ -190,19 +187,24 @@ class Run:
 
     def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         """Draw a photo's view and compare. Raises: DrSplatError: the loss is no longer a number."""
-        view, photo = self._view_and_photo(index)
+        photo, view = self.photos[index], self._view(index)
+        photo = photo if view is self.views[index] else photo.smaller(*view.size)
         target = photo.colors()
         self._lap("photo")
-        drawn = self._drawn(view, threads)
+        drawn = forward(
+            self.optimizer.parameters, view, active_sh_degree(self.settings, self.iteration), self._background(),
+            near=self.near, antialiased=self.settings.antialiased, threads=threads,
+        )  # fmt: skip
+        self._lap("forward")
         # the loss; where the photo is masked, the rendering is its own target and nothing is learnt
         unused = photo.unused
-        if len(unused):
-            target.reshape(-1, 3)[unused] = drawn.image.reshape(-1, 3)[unused]
+        if unused is not None:
+            target[unused] = drawn.image[unused]
         loss = photometric_loss(drawn.image, target, self.settings.dssim_weight, threads=threads)
         if not math.isfinite(loss.value):
             raise self._diverged()
-        if len(unused):
-            loss.gradient.reshape(-1, 3)[unused] = 0
+        if unused is not None:
+            loss.gradient[unused] = 0
         self._lap("loss")
         gradients = drawn.backward(loss.gradient)
         if photo.left_out is not None:
@@ -211,26 +213,12 @@ class Run:
         self._lap("backward")
         return Outcome(loss.value, partial(_psnr, drawn.image, target, photo)), gradients
 
-    def _view_and_photo(self, index: int) -> tuple[View, Photo]:
-        """Return a view and its photo, on the raster of this iteration."""
-        photo, view = self.photos[index], self._view(index)
-        return view, photo if view is self.views[index] else photo.smaller(*view.size)
-
     def _view(self, index: int) -> View:
         """Return a view on the raster of this iteration: no shorter than MIN_SIDE_PIXELS for being coarse."""
         view, wanted = self.views[index], divisor(self.settings, self.iteration)
         while wanted > 1 and min(view.size) < MIN_SIDE_PIXELS * wanted:
             wanted //= 2
         return view if wanted == 1 else view.resized(view.width // wanted, view.height // wanted)
-
-    def _drawn(self, view: View, threads: int) -> TrainingView:
-        degree = active_sh_degree(self.settings, self.iteration)
-        drawn = forward(
-            self.optimizer.parameters, view, degree, self._background(), near=self.near,
-            antialiased=self.settings.antialiased, threads=threads,
-        )  # fmt: skip
-        self._lap("forward")
-        return drawn
 
     def _background(self) -> Float32[np.ndarray, "3"]:
         if self.settings.background == "random":
@@ -259,11 +247,9 @@ class Run:
         )
 
     def _rates(self) -> Rates:
-        s = self.settings
-        means = means_rate(s, self.iteration) * self.extent
+        s, share = self.settings, other_rates_share(self.settings, self.iteration)
         others = s.scales_rate, s.quats_rate, s.logits_rate, s.sh_rate, s.sh_rest_rate
-        share = other_rates_share(s, self.iteration)
-        return Rates(means, *(rate * share for rate in others))
+        return Rates(means_rate(s, self.iteration) * self.extent, *(rate * share for rate in others))
 
     def _lap(self, stage: str) -> None:
         now = time.perf_counter()
@@ -277,15 +263,8 @@ class Run:
     def state(self) -> tuple[Arrays, dict[str, str]]:
         """Return the arrays and texts from which `restore` goes on."""
         arrays = self.optimizer.state() | self.density.state() | self.order.state()
-        texts = {
-            "iteration": str(self.iteration),
-            "rng": json.dumps(self.rng.bit_generator.state),
-            "seconds": repr(self.seconds),
-            "stage_seconds": json.dumps(self.stage_seconds),
-            "history": json.dumps(self.history),
-            "start": json.dumps(self.start),
-        }
-        return arrays, texts
+        texts = {name: json.dumps(getattr(self, name)) for name in FACTS}
+        return arrays, texts | {"rng": json.dumps(self.rng.bit_generator.state)}
 
     def restore(self, arrays: ArraysByName, texts: Mapping[str, str]) -> None:
         """Become the run that `state` was taken of."""
@@ -293,10 +272,8 @@ class Run:
         self.density.restore(arrays)
         self.order.restore(arrays)
         self.rng.bit_generator.state = json.loads(texts["rng"])
-        self.iteration, self.seconds = int(texts["iteration"]), float(texts["seconds"])
-        self.stage_seconds = json.loads(texts["stage_seconds"])
-        self.history = json.loads(texts["history"])
-        self.start = json.loads(texts["start"])
+        for name in FACTS:
+            setattr(self, name, json.loads(texts[name]))
 
 
 R = TypeVar("R", bound=Run)

@@ -12,22 +12,21 @@ Schedules: values that change with the iteration, counted from 1.
 
 import json
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from typing import TypeVar
 
 from ..errors import InputError
 
+N = TypeVar("N", int, float)
 STRATEGIES = ("default", "mcmc")
 BACKGROUNDS = ("black", "white", "random")
 NOT_OF_AN_ITERATION = ("evaluate_every", "photo_memory_bytes", "iterations")  # `iterations` alone may grow
 
+_FROM_ZERO = (
+    "seed", "sh_degree", "test_every", "evaluate_every", "refine_from", "full_size_from", "transients_at",
+    "rates_fall_from", "refine_until", "photo_memory_bytes", "reset_recovery",
+)  # fmt: skip
 LAST_RATES_SHARE = 0.1  # D: of the rates that fall (`rates_fall_from`), at the last iteration
-
-SINCE = (
-    "antialiased",
-    "colors_in_bytes",
-    "transients_at",
-    "rates_fall_from",
-)  # settings that older runs did not have; off means as they were
 
 
 @dataclass(frozen=True)
@@ -99,66 +98,44 @@ class TrainingSettings:
     scale_penalty: float = 0.01  # C: lambda_Sigma
 
     def __post_init__(self) -> None:
-        self._check_choices()
-        self._check_counts()
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name, allowed in (("background", BACKGROUNDS), ("strategy", STRATEGIES), ("sh_degree", (0, 1, 2, 3))):
+            if getattr(self, name) not in allowed:
+                raise InputError(f"{name}: expected one of {allowed}, got {getattr(self, name)!r}")
+        if self.strategy == "mcmc" and self.max_gaussians is None:
+            raise InputError("strategy 'mcmc' fills a budget: set it with max_gaussians, e.g. 500,000")
+        for name, value in vars(self).items():
+            least = 0 if name in _FROM_ZERO else 4 if name == "max_gaussians" else 1  # sizes come from 3 neighbours
+            if isinstance(value, int) and not isinstance(value, bool) and value < least:
+                raise InputError(f"{name}: expected at least {least}, got {value}")
             if isinstance(value, float) and not 0 <= value < float("inf"):
-                raise InputError(f"{field.name}: expected a finite number >= 0, got {value}")
+                raise InputError(f"{name}: expected a finite number >= 0, got {value}")
+        if self.test_every == 1:
+            raise InputError("test_every: 1 would hold every photo out; 0 holds none out")
         if not (0 <= self.dssim_weight <= 1 and 0 < self.first_opacity < 1):
             raise InputError(
                 f"dssim_weight must be in [0, 1] and start_opacity in (0, 1); got "
                 f"{self.dssim_weight} and {self.first_opacity}"
             )
 
-    def _check_choices(self) -> None:
-        for name, value, allowed in (
-            ("background", self.background, BACKGROUNDS),
-            ("strategy", self.strategy, STRATEGIES),
-            ("sh_degree", self.sh_degree, (0, 1, 2, 3)),
-        ):
-            if value not in allowed:
-                raise InputError(f"{name}: expected one of {allowed}, got {value!r}")
-        if self.strategy == "mcmc" and self.max_gaussians is None:
-            raise InputError("strategy 'mcmc' fills a budget: set it with max_gaussians, e.g. 500,000")
-
-    def _check_counts(self) -> None:
-        least = {"seed": 0, "sh_degree": 0, "test_every": 0, "evaluate_every": 0, "refine_from": 0}
-        least |= {
-            "full_size_from": 0,
-            "transients_at": 0,
-            "rates_fall_from": 0,
-            "refine_until": 0,
-            "photo_memory_bytes": 0,
-            "reset_recovery": 0,
-        }
-        least |= {"max_gaussians": 4}  # the size of the first ones comes from 3 neighbours
-        for field in fields(self):
-            value, low = getattr(self, field.name), least.get(field.name, 1)
-            if isinstance(value, int) and not isinstance(value, bool) and value < low:
-                raise InputError(f"{field.name}: expected at least {low}, got {value}")
-        if self.test_every == 1:
-            raise InputError("test_every: 1 would hold every photo out; 0 holds none out")
+    def _else(self, chosen: N | None, default: N, mcmc: N) -> N:
+        """Return what was chosen, else what is usual for the strategy."""
+        return chosen if chosen is not None else mcmc if self.strategy == "mcmc" else default
 
     @property
     def first_opacity(self) -> float:
-        default = 0.5 if self.strategy == "mcmc" else 0.1
-        return default if self.start_opacity is None else self.start_opacity
+        return self._else(self.start_opacity, 0.1, 0.5)
 
     @property
     def first_scale(self) -> float:
-        default = 0.1 if self.strategy == "mcmc" else 1.0
-        return default if self.start_scale is None else self.start_scale
+        return self._else(self.start_scale, 1.0, 0.1)
 
     @property
     def last_refinement(self) -> int:
-        default = 25_000 if self.strategy == "mcmc" else 15_000
-        return default if self.refine_until is None else self.refine_until
+        return self._else(self.refine_until, 15_000, 25_000)
 
     @property
     def penalty_of_opacity(self) -> float:
-        default = 0.01 if self.strategy == "mcmc" else 0.0
-        return default if self.opacity_penalty is None else self.opacity_penalty
+        return self._else(self.opacity_penalty, 0.0, 0.01)
 
     @property
     def backdrop(self) -> tuple[float, float, float]:
@@ -168,11 +145,7 @@ class TrainingSettings:
     @property
     def fingerprint(self) -> str:
         """JSON of what decides the result of an iteration: a run may go on only with the same."""
-        named = {k: v for k, v in asdict(self).items() if k not in NOT_OF_AN_ITERATION}
-        for name in SINCE:
-            if not named[name]:
-                del named[name]  # checkpoints of runs before there was a choice
-        return json.dumps(named, sort_keys=True)
+        return json.dumps({k: v for k, v in asdict(self).items() if k not in NOT_OF_AN_ITERATION}, sort_keys=True)
 
 
 def means_rate(settings: TrainingSettings, iteration: int) -> float:

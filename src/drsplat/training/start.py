@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
-from warnings import warn
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base.arrays import Vector3
-from ..errors import DrSplatWarning, InputError
+from ..errors import InputError, warn
 from ..formats.captures import SparsePoints
 from ..kernels.training import SceneParameters
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, local_origin, size_of
@@ -43,41 +42,35 @@ def split_views(views: Sequence[View], test_every: int) -> Split:
     ordered = sorted(views, key=lambda view: view.name)
     _require_photos(ordered)
     ordered = views_with_something(ordered)
-    held_out = [test_every > 0 and index % test_every == 0 for index in range(len(ordered))]
-    split = Split(
-        [view for view, out in zip(ordered, held_out, strict=True) if not out],
-        [view for view, out in zip(ordered, held_out, strict=True) if out],
-    )
-    if len(split.train) < MIN_TRAIN_PHOTOS:
+    train: list[View] = []
+    test: list[View] = []
+    for index, view in enumerate(ordered):
+        (test if test_every > 0 and index % test_every == 0 else train).append(view)
+    if len(train) < MIN_TRAIN_PHOTOS:
         raise InputError(
             f"a scene is trained on at least {MIN_TRAIN_PHOTOS} photos from different places: of "
-            f"{len(ordered)} there are {len(split.train)} left after every {test_every}th is held "
+            f"{len(ordered)} there are {len(train)} left after every {test_every}th is held "
             "out for testing: add photos, or hold none out with test_every=0"
             if test_every and len(ordered) >= MIN_TRAIN_PHOTOS
             else f"a scene is trained on at least {MIN_TRAIN_PHOTOS} photos from different places, got "
             f"{len(ordered)}: add photos"
         )
-    scene_extent(split.train)
-    return split
+    scene_extent(train)
+    return Split(train, test)
 
 
-class Local(NamedTuple):
-    """A capture counted from its local origin, which float32 can hold without loss."""
+def local_capture(split: Split, points: SparsePoints | None) -> tuple[Split, SparsePoints | None, Vector3]:
+    """Count a capture from its local origin, which float32 can hold without loss, and return that too.
 
-    split: Split
-    points: SparsePoints | None
-    origin: Vector3
-
-
-def local_capture(split: Split, points: SparsePoints | None) -> Local:
-    """Move a capture to zero if it is far from it for its size, see `placing.local_origin`."""
+    It moves if it is far from zero for its size, see `placing.local_origin`.
+    """
     given = points is not None and len(points.positions) > NEIGHBOURS
     cameras = np.array([view.center for view in split.train])
     origin = local_origin(points.positions if points is not None and given else cameras)
     if not origin.any():
-        return Local(split, points, origin)
+        return split, points, origin
     train, test = ([view.relative_to(origin) for view in views] for views in split)
-    return Local(Split(train, test), None if points is None else points.moved(-origin), origin)
+    return Split(train, test), None if points is None else points.moved(-origin), origin
 
 
 def _require_photos(views: Sequence[View]) -> None:
@@ -90,11 +83,7 @@ def _require_photos(views: Sequence[View]) -> None:
     names = [view.name for view in views]
     if len(set(names)) < len(names):
         raise InputError("two views have one name: names are how photos are told apart")
-    _require_pixels(views)
-
-
-def _require_pixels(views: Sequence[View]) -> None:
-    """Refuse photos that the window of SSIM does not fit into, and warn of small ones."""
+    # the window of SSIM has to fit into them
     least = min(views, key=lambda view: min(view.size), default=None)
     if least is None:
         return
@@ -106,8 +95,7 @@ def _require_pixels(views: Sequence[View]) -> None:
             "1, 2, 4 or 8 divide the sides"
         )
     if max(least.size) < SMALL_SIDE_PIXELS:
-        text = f"{small}: only what fills a good part of a photo is learnt: take {SMALL_SIDE_PIXELS} pixels or more"
-        warn(text, DrSplatWarning, stacklevel=4)
+        warn(f"{small}: only what fills a good part of a photo is learnt: take {SMALL_SIDE_PIXELS} pixels or more", 2)
 
 
 def scene_extent(views: Sequence[View]) -> float:

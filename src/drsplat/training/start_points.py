@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Doubles, Flags, Float64, OtherDoubles, OtherPoints, PlanePoints, Points
+from ..base.arrays import Doubles, Flags, Float64, OtherPoints, Points
 from ..errors import InputError, warn
 from ..formats.captures import SparsePoints
 from ..scene.views import View
 from .settings import TrainingSettings
 from .start import NEIGHBOURS, scene_extent
-from .triangulation import Triangulation, triangulate
+from .triangulation import triangulate
 
 ENOUGH_POINTS = 300  # triangulated; with so many, random ones between them cost PSNR (docs/training.md)
 DEFAULT_GREY = 128
@@ -56,16 +56,29 @@ def start_points(
     Raises: InputError: points that are not finite, or too few of them.
     """
     if points is None or len(points.positions) == 0:
-        return _thinned(_triangulated_start(views, settings, rng, threads), settings, rng)
-    _check_points(points)
-    return _thinned(Start(points), settings, rng)
+        start = _triangulated_start(views, settings, rng, threads)
+    else:
+        _check_points(points)
+        start = Start(points)
+    count, limit = len(start.points.positions), settings.max_gaussians
+    if limit is None or count <= limit:
+        return start
+    kept = np.sort(rng.choice(count, max(limit, 1), replace=False))
+    some = SparsePoints(start.points.positions[kept], start.points.colors[kept])
+    return Start(some, int((kept < start.triangulated).sum()), int((kept >= count - start.random).sum()))
 
 
 def _triangulated_start(
     views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator, threads: int
 ) -> Start:
     found = triangulate(views, threads=threads)
-    _warn_of_wrong_poses(found)
+    if found.alike >= MIN_ALIKE_MATCHES and found.agreeing < MIN_AGREEING_SHARE * found.alike:
+        warn(
+            f"only {found.agreeing:,} of {found.alike:,} matches between photos agree with their poses "
+            f"({found.agreeing / found.alike:.1%}; of right poses, 40 % and more): check that the poses are of these "
+            "photos, and the axes and lens of the file that they come from",
+            5,
+        )
     count = len(found.positions)
     if count >= ENOUGH_POINTS:
         return Start(SparsePoints(found.positions, found.colors), count)
@@ -90,33 +103,10 @@ def _random_places(
         count = max(min(count, settings.max_gaussians) - len(known), 0)
     extent = scene_extent(views)
     drawn = fill(views, known, count, rng, extent)
-    least = NEIGHBOURS + 1
-    if len(drawn) + len(known) >= least:
+    if len(drawn) + len(known) > NEIGHBOURS:
         return drawn
     middle: np.ndarray = np.mean([view.center for view in views], axis=0)
-    return middle + rng.uniform(-extent, extent, (max(count, least), 3))
-
-
-def _warn_of_wrong_poses(found: Triangulation) -> None:
-    if found.alike < MIN_ALIKE_MATCHES or found.agreeing >= MIN_AGREEING_SHARE * found.alike:
-        return
-    warn(
-        f"only {found.agreeing:,} of {found.alike:,} matches between photos agree with their poses "
-        f"({found.agreeing / found.alike:.1%}; of right poses, 40 % and more): check that the poses are of these "
-        "photos, and the axes and lens of the file that they come from",
-        6,
-    )
-
-
-def _thinned(start: Start, settings: TrainingSettings, rng: np.random.Generator) -> Start:
-    count, limit = len(start.points.positions), settings.max_gaussians
-    if limit is None or count <= limit:
-        return start
-    kept = np.sort(rng.choice(count, max(limit, 1), replace=False))
-    points = SparsePoints(start.points.positions[kept], start.points.colors[kept])
-    triangulated = int((kept < start.triangulated).sum())
-    random = int((kept >= count - start.random).sum())
-    return Start(points, triangulated, random)
+    return middle + rng.uniform(-extent, extent, (max(count, NEIGHBOURS + 1), 3))
 
 
 def _check_points(points: SparsePoints) -> None:
@@ -148,11 +138,15 @@ def fill(views: Sequence[View], triangulated: Points, count: int, rng: np.random
     looked_at = _distances_to_focus(views, size)
     ranges = looked_at[:, None] * DEPTHS_OVER_FOCUS_DISTANCE
     for index, view in enumerate(views):
-        depths = _depths_seen(view, triangulated)
+        inside, depths = _seen(view, triangulated)
+        depths = depths[inside]
         if len(depths) >= MIN_POINTS_IN_VIEW:
             low, high = np.percentile(depths, (5, 95))
             ranges[index] = low, high
-    clearance = _clearance(triangulated)
+    clearance = 0.0  # in scene units
+    if len(triangulated) > 1:
+        nearest = cKDTree(triangulated).query(triangulated, k=2, workers=1)[0][:, 1]
+        clearance = CLEARANCE_IN_SPACINGS * float(np.median(nearest))
     batches: list[np.ndarray] = []
     missing = count
     for _ in range(MAX_BATCHES):
@@ -179,11 +173,6 @@ def _distances_to_focus(views: Sequence[View], size: float) -> Doubles:
     return np.where(ahead > 0.1 * size, ahead, size)
 
 
-def _depths_seen(view: View, points: Points) -> OtherDoubles:
-    pixels, depths = _projected(view, points)
-    return depths[_inside(view, pixels, depths)]
-
-
 def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator) -> Points:
     """Draw points at random depths, in the view's range, through random pixels of random views."""
     chosen = rng.integers(len(views), size=BATCH_POINTS)
@@ -204,29 +193,15 @@ def _seen_by_several(views: Sequence[View], ranges: Ranges, points: Points) -> F
     num_views = np.zeros(len(points), np.int32)
     is_close = np.zeros(len(points), bool)
     for view, (low, high) in zip(views, ranges, strict=True):
-        pixels, depths = _projected(view, points)
-        inside = _inside(view, pixels, depths)
+        inside, depths = _seen(view, points)
         num_views += inside & (depths >= low) & (depths <= high)
         is_close |= inside & (depths < 0.5 * low)
     return (num_views >= min(MIN_CAMERAS, len(views))) & ~is_close
 
 
-def _projected(view: View, points: Points) -> tuple[PlanePoints, Doubles]:
-    """Return the pixels and depths (camera z) of points. Pixels of points behind the camera are meaningless."""
+def _seen(view: View, points: Points) -> tuple[Flags, Doubles]:
+    """Return which points lie in the view's picture, and the depths (camera z) of all."""
     in_camera = (points - view.center) @ view.cam_from_world[:3, :3].T
     depths = in_camera[:, 2]
-    safe = np.where(depths > 0, depths, 1.0)
-    return (in_camera @ view.K.T)[:, :2] / safe[:, None], depths
-
-
-def _inside(view: View, pixels: PlanePoints, depths: Doubles) -> Flags:
-    inside = (pixels >= 0).all(1) & (pixels < view.size).all(1)
-    return inside & (depths > 0)
-
-
-def _clearance(triangulated: Points) -> float:
-    """Return how far random points stay from triangulated ones, in scene units; 0 for fewer than two."""
-    if len(triangulated) < 2:
-        return 0.0
-    nearest = cKDTree(triangulated).query(triangulated, k=2, workers=1)[0][:, 1]
-    return CLEARANCE_IN_SPACINGS * float(np.median(nearest))
+    pixels = (in_camera @ view.K.T)[:, :2] / np.where(depths > 0, depths, 1.0)[:, None]
+    return (pixels >= 0).all(1) & (pixels < view.size).all(1) & (depths > 0), depths

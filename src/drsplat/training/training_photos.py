@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Arrays, ArraysByName, Float32, Mask, OtherFlags, Pixels, RowIds, WholeNumbers
+from ..base.arrays import Arrays, ArraysByName, Float32, Mask, Pixels
 from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_coverage
 from ..scene.views import View
@@ -17,22 +17,20 @@ from ..scene.views import View
 class Photo(NamedTuple):
     """The pixels of a photo, and which of them say nothing.
 
-    outside: flat indices of the pixels that no photo covers once its lens is undone. left_out: True where the photo's
-    mask leaves a pixel out; None where it has no mask.
+    outside: True where no photo covers a pixel once its lens is undone. left_out: True where the photo's mask leaves a
+    pixel out. None for nowhere.
     """
 
     pixels: Pixels
-    outside: RowIds
+    outside: Mask | None = None
     left_out: Mask | None = None
 
     @property
-    def unused(self) -> WholeNumbers | OtherFlags:
-        """The flat pixels that take no part: their indices or, where there is a mask, a mark for each pixel."""
-        if self.left_out is None:
-            return self.outside
-        marks = self.left_out.reshape(-1).copy()
-        marks[self.outside] = True
-        return marks
+    def unused(self) -> Mask | None:
+        """The pixels that take no part."""
+        if self.outside is None or self.left_out is None:
+            return self.outside if self.left_out is None else self.left_out
+        return self.outside | self.left_out
 
     @property
     def num_bytes(self) -> int:
@@ -41,16 +39,13 @@ class Photo(NamedTuple):
 
     def smaller(self, width: int, height: int) -> "Photo":
         """Return it on a coarser raster: means of pixels, of which none is used that has a part of an unused one."""
-        size = (width, height)
+        size, unused = (width, height), self.unused
         pixels = np.asarray(Image.fromarray(self.pixels).resize(size, Image.Resampling.BOX))
-        if not len(self.outside) and self.left_out is None:
-            return Photo(pixels, self.outside)
-        marks = np.zeros(self.pixels.shape[:2], np.uint8)
-        marks.reshape(-1)[self.unused] = 255
-        unused = np.asarray(Image.fromarray(marks).resize(size, Image.Resampling.BOX)) > 0
-        if self.left_out is None:
-            return Photo(pixels, np.flatnonzero(unused).astype(np.int32))
-        return Photo(pixels, np.empty(0, np.int32), unused)
+        if unused is None:
+            return Photo(pixels)
+        marks = Image.fromarray(unused * np.uint8(255)).resize(size, Image.Resampling.BOX)
+        coarse = np.asarray(marks) > 0
+        return Photo(pixels, coarse) if self.left_out is None else Photo(pixels, None, coarse)
 
     def colors(self) -> Float32[np.ndarray, "h w 3"]:
         """Return colours in [0, 1]."""
@@ -66,7 +61,7 @@ class TrainingPhotos:
     def __init__(self, views: Sequence[View], memory_bytes: int) -> None:
         self._views, self._room = views, memory_bytes
         self._kept: dict[int, Photo] = {}
-        self._outside: dict[tuple[object, ...], np.ndarray] = {}
+        self._outside: dict[tuple[object, ...], Mask | None] = {}
         self._counting = Lock()
 
     def __len__(self) -> int:
@@ -102,17 +97,17 @@ class TrainingPhotos:
                 self._room -= photo.num_bytes
         return photo
 
-    def _outside_of(self, view: View) -> RowIds:
-        """Return the pixels that the lens does not cover; the views of one camera share them."""
+    def _outside_of(self, view: View) -> Mask | None:
+        """Return where the lens covers no pixel; the views of one camera share it."""
         camera = (view.width, view.height, view.distortion, view.K.tobytes())
         with self._counting:
             if camera not in self._outside:
-                covered = photo_coverage(view)
-                outside = np.flatnonzero(~covered).astype(np.int32)
-                if outside.nbytes > self._room:
+                marks = ~photo_coverage(view)
+                outside = marks if marks.any() else None
+                if outside is not None and outside.nbytes > self._room:
                     return outside
                 self._outside[camera] = outside
-                self._room -= outside.nbytes
+                self._room -= 0 if outside is None else outside.nbytes
             return self._outside[camera]
 
 

@@ -77,7 +77,10 @@ def without_transients(
     found = []
     for number, view in enumerate([*views, *held_out]):
         moving = jury.judged(view, is_heard=number < len(views))
-        found.append(_masked(view, moving, folder) if moving.any() else view)
+        if moving.any():  # its mask is on the photo's own raster
+            shown = distort_ids(view.limited(SIDE_PIXELS), moving.astype(np.int32)) == 1
+            view = write_mask(view, shown, folder)
+        found.append(view)
     return found
 
 
@@ -99,18 +102,13 @@ class _Jury:
         self.totals = np.zeros((3, len(gaussians)))
         self._photos: dict[str, Pixels] = {}
 
-    def _small_photo(self, small: View) -> Pixels:
-        """Return the photo of a small view, read once while there is room: to decode it takes longest."""
-        photo = self._photos.get(small.name)
-        if photo is None:
-            photo = load_image(small)
-            if len(self._photos) < MAX_SMALL_PHOTOS:
-                self._photos[small.name] = photo
-        return photo
-
     def compared(self, view: View) -> _Compared:
         small = view.limited(SIDE_PIXELS)
-        photo = self._small_photo(small) / _WHITE
+        # read once while there is room: to decode it takes longest
+        pixels = self._photos[small.name] if small.name in self._photos else load_image(small)
+        if len(self._photos) < MAX_SMALL_PHOTOS:
+            self._photos[small.name] = pixels
+        photo = pixels / _WHITE
         drawn = render(self.gaussians, _pinhole(view), splats=self.splats, threads=self.threads).rgb.astype(np.float64)
         kept = load_mask(small)
         seen = ndimage.binary_erosion(photo_coverage(small), iterations=FRAME)
@@ -159,7 +157,9 @@ def _moving(flagged: Mask, compared: _Compared, level: Float64[np.ndarray, "h w"
     """
     pieces, count = ndimage.label(flagged)
     moving = np.zeros_like(flagged)
-    patterns = [_pattern(colors) for colors in (compared.photo, compared.drawn)]
+    patterns = [
+        colors - ndimage.gaussian_filter(colors, (PATTERN, PATTERN, 0)) for colors in (compared.photo, compared.drawn)
+    ]
     for number in range(1, count + 1):
         piece = pieces == number
         if piece.mean() <= MIN_SHARE or _correlation(*(pattern[piece] for pattern in patterns)) >= SAME:
@@ -173,18 +173,9 @@ def _moving(flagged: Mask, compared: _Compared, level: Float64[np.ndarray, "h w"
     return ndimage.binary_dilation(moving, iterations=MARGIN)
 
 
-def _pattern(colors: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w 3"]:
-    return colors - ndimage.gaussian_filter(colors, (PATTERN, PATTERN, 0))
-
-
 def _correlation(one: Float64[np.ndarray, "n 3"], other: Float64[np.ndarray, "n 3"]) -> float:
     one, other = one - one.mean(axis=0), other - other.mean(axis=0)
     return float((one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum() + 1e-12))
-
-
-def _masked(view: View, moving: Mask, folder: Path) -> View:
-    """Write the mask of a view on its photo's raster, and return the view with it."""
-    return write_mask(view, distort_ids(view.limited(SIDE_PIXELS), moving.astype(np.int32)) == 1, folder)
 
 
 def _pinhole(view: View) -> View:

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Indices, Int64, Mask, Points, RowIds
+from ...base.arrays import Indices, Mask, RowIds
 from ...errors import InputError, warn
 from ...formats.json_files import spans_of
 from ...scene.boxes import HAZE_OPACITY
 from .draft import Draft
 from .fill_record import Clones, FillRecord
 from .ground import Ground, best_shift
-from .planes import surfaces_around
+from .planes import near_thing, surfaces_around
 
-SEARCH_MARGIN_SHARE = 0.8  # of the object's size: how far around it planes are fitted and clones are taken
 MAX_SHIFTS = 16  # that clones are taken by
 CLOSED_OPACITY = 0.8  # of a cell's clones, from which on the cell is closed
 CLONE_MARGIN_CELLS = 2  # around cells that close: Gaussians there reach into them and are cloned too
+FOOT_CELLS = 3  # around what stands on a plane: its foot may reach so far into the plane
 MIN_VISIBLE_GAUSSIANS = 10  # of an object that can leave a hole
 WARNED_CLOSED_SHARE = 0.9  # of a hole: where less is closed, a warning says so
 MIN_CLOSED_SHARE = 0.2  # of a hole: with less it stays open, for the fill would be specks
@@ -36,7 +36,9 @@ def closing(draft: Draft, ids: RowIds) -> FillRecord:
             f"fill: {len(seen)} Gaussians that can be seen leave no hole: {MIN_VISIBLE_GAUSSIANS} are the fewest"
         )
     thing = draft.homes[seen].astype(np.float64)
-    near = _near(draft, ids, thing)
+    beside = near_thing(draft.rows.means, thing)[0] & draft.present
+    beside[ids] = False
+    near = np.flatnonzero(beside)
     scene = draft.rows.subset(near)
     around = scene.means[scene.opacities >= HAZE_OPACITY].astype(np.float64)
     planes = surfaces_around(thing, around)
@@ -56,16 +58,6 @@ def closing(draft: Draft, ids: RowIds) -> FillRecord:
     return FillRecord(spans_of(near[removed]), tuple(clones))
 
 
-def _near(draft: Draft, ids: RowIds, thing: Points) -> Int64[np.ndarray, " k"]:
-    """Return the rows that are there around what stood there, without itself."""
-    low, high = np.quantile(thing, (0.01, 0.99), axis=0)
-    reach = SEARCH_MARGIN_SHARE * float(np.linalg.norm(high - low))
-    means = draft.rows.means
-    near = ((means >= low - reach) & (means <= high + reach)).all(1) & draft.present
-    near[ids] = False
-    return np.flatnonzero(near)
-
-
 def _closed(near: Indices, ground: Ground) -> tuple[RowIds, list[Clones], float]:
     """Return which of the Gaussians near a thing go for a plane, what is cloned, and how much of the hole stays open.
 
@@ -81,7 +73,8 @@ def _closed(near: Indices, ground: Ground) -> tuple[RowIds, list[Clones], float]
 def _clones(near: Indices, ground: Ground) -> tuple[list[Clones], Cells]:
     """Return what is cloned, and the cells of the hole that this leaves open."""
     hole, scene, grid, surface = ground.hole, ground.scene, ground.grid, ground.surface
-    good, missing, seen_through = ground.cloneable(surface.known), hole, np.ones(grid.shape)
+    missing, seen_through = hole, np.ones(grid.shape)
+    good = surface.known & ndimage.binary_erosion(ground.bare, iterations=FOOT_CELLS, border_value=1)
     clones = []
     for _ in range(MAX_SHIFTS):
         shift, closed = best_shift(missing, good, surface)
@@ -90,9 +83,7 @@ def _clones(near: Indices, ground: Ground) -> tuple[list[Clones], Cells]:
         down, across = np.nonzero(closed)
         source[down + shift[0], across + shift[1]] = True
         rows = ground.own[
-            grid.among(
-                np.asarray(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS)), ground.places[ground.own]
-            )
+            grid.among(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS), ground.places[ground.own])
         ]
         if not closed.any() or not len(rows):
             break

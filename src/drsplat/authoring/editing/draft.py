@@ -7,6 +7,7 @@ direction; A c + b has A of all harmonics, and b in the constant one.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,7 @@ class Draft:
                 more = np.full(len(part), object_id)
             extra[name] = np.concatenate([column, more.astype(column.dtype)])
         both = [replace(own, sh=filled(own.sh, most)), replace(part, means=means, sh=filled(part.sh, most))]
-        arrays = {name: np.concatenate([getattr(one, name) for one in both]) for name in ARRAYS}
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in both]) for name in ARRAYS}
         self.rows = replace(own, **arrays, extra=extra)
         self.homes = np.concatenate([self.homes, means])
         self.present = np.concatenate([self.present, np.ones(len(part), bool)])

@@ -282,7 +282,8 @@ def _only(entry: Mapping[str, object], known: Mapping[str, object] | tuple[str, 
 
 
 def _target(entry: object, where: str) -> Target:
-    kind = as_object(entry, where).get("kind")
+    entry = as_object(entry, where)
+    kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in _TARGETS:
         raise FormatError(f"{where}: expected a kind, one of {', '.join(_TARGETS)}; got {excerpt(kind)}")
     keys, made = _TARGETS[kind]

@@ -36,7 +36,6 @@ FOOT_HEIGHT_SHARE = 0.15  # lowest part of an object: no photo saw the ground be
 MIN_STANDING_TOLERANCES = 1.3  # above a plane, from which on something stands on it
 MAX_BARE_OPACITY = 0.2  # of what stands on a plane where the plane counts as bare
 MAX_ELONGATION = 6.0  # length over width: what is longer is no patch of a surface
-FOOT_CELLS = 3  # around what stands on a plane: its foot may reach so far into the plane
 MIN_OWNER_SHARE = 0.2  # of the Gaussians in a plane, for an object that the plane is part of
 MIN_IN_PLANE_SHARE = 1 / 3  # of such an object's Gaussians: it consists of this plane and of others like it
 RING_CELLS = 12  # around a hole: objects in the ring may continue into the hole
@@ -125,8 +124,7 @@ class PlaneGrid:
     @property
     def middles(self) -> Points:
         """Middles of all cells, in the scene."""
-        flat, plane = self._flat_middles, self.plane
-        return flat @ plane.axes + plane.offset * plane.normal
+        return self._flat_middles @ self.plane.axes + self.plane.offset * self.plane.normal
 
     @property
     def _flat_middles(self) -> PlanePoints:
@@ -142,7 +140,7 @@ class PlaneGrid:
         distance = cKDTree(self.plane.flat(places)).query(self._flat_middles, distance_upper_bound=1.5 * self.step)[0]
         near = (distance < np.inf).reshape(self.shape)
         closed: Cells = ndimage.binary_closing(near, iterations=3) | near
-        return np.asarray(ndimage.binary_fill_holes(closed))
+        return ndimage.binary_fill_holes(closed)
 
     def coverage(self, gaussians: Gaussians) -> Float64[Array, "h w"]:
         """Return the opacity of all Gaussians together in each cell, as a camera far away sees the plane."""
@@ -159,10 +157,8 @@ class PlaneGrid:
     def _drawn(self, gaussians: Gaussians) -> Picture:
         down, right = self.plane.axes
         ahead = np.cross(right, down)  # from either side: what is opaque is so from both
-        middle, distance = (
-            self.low + np.array(self.shape) / 2 * self.step,
-            VIEW_DISTANCE_SIZES * self.step * max(self.shape),
-        )
+        middle = self.low + np.array(self.shape) / 2 * self.step
+        distance = VIEW_DISTANCE_SIZES * self.step * max(self.shape)
         eye = middle @ self.plane.axes + self.plane.offset * self.plane.normal - distance * ahead
         axes, size = np.stack([right, down, ahead]), self.shape[::-1]
         here = replace(gaussians, origin=np.zeros(3))
@@ -203,16 +199,11 @@ class Ground:
         """Objects of the Gaussians, -1 for none."""
         return self.scene.extra.get(OBJECT_ID)
 
-    @cached_property
+    @property
     def bare(self) -> Cells:
         """Cells that nothing stands on."""
         above = np.flatnonzero(self.heights > MIN_STANDING_TOLERANCES * self.plane.tolerance)
         return self.grid.coverage(self.scene.subset(above)) < MAX_BARE_OPACITY
-
-    @cached_property
-    def in_front(self) -> Cells:
-        """Cells before all planes behind."""
-        return before(self.behind, self.grid.middles).reshape(self.grid.shape)
 
     @cached_property
     def shadow(self) -> Cells:
@@ -220,23 +211,19 @@ class Ground:
         return self.grid.shadow(self.thing)
 
     @cached_property
-    def foot(self) -> Cells:
-        """Cells below what of the thing is lowest."""
-        heights = self.plane.heights(self.thing)
-        low, high = np.quantile(heights, (0.02, 0.98))
-        return self.grid.shadow(self.thing[heights <= float(low + FOOT_HEIGHT_SHARE * (high - low))])
-
-    @cached_property
     def hole(self) -> Cells:
         """Cells below the thing that nothing covers but what is nobody's, and those below its foot.
 
         Masks give objects what photos see: what is nobody's is what training guessed, unless it is much of the plane.
         """
-        some, owners = self.rows, self.owners
+        some, owners, grid = self.rows, self.owners, self.grid
         if owners is not None and np.mean(owners[some] < 0) < MIN_OWNER_SHARE:
             some = some[owners[some] >= 0]
-        coverage = self.grid.coverage(self.scene.subset(some))
-        return (self.shadow & (coverage < COVERED_OPACITY) | self.foot) & self.in_front
+        heights = self.plane.heights(self.thing)
+        low, high = np.quantile(heights, (0.02, 0.98))
+        foot = grid.shadow(self.thing[heights <= float(low + FOOT_HEIGHT_SHARE * (high - low))])
+        in_front = before(self.behind, grid.middles).reshape(grid.shape)
+        return (self.shadow & (grid.coverage(self.scene.subset(some)) < COVERED_OPACITY) | foot) & in_front
 
     @cached_property
     def main_owners(self) -> WholeNumbers:
@@ -270,10 +257,6 @@ class Ground:
         """The plane's own colours, known outside of the hole."""
         known = (self.own_coverage >= COVERED_OPACITY) & ~self.hole
         return Surface(self.grid.colors(self.scene.subset(self.own)), known)
-
-    def cloneable(self, known: Cells) -> Cells:
-        """Return known cells that nothing stands on or beside."""
-        return known & ndimage.binary_erosion(self.bare, iterations=FOOT_CELLS, border_value=1)
 
     @cached_property
     def is_around_hole(self) -> bool:

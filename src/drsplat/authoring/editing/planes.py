@@ -1,15 +1,15 @@
 """The planes that something stands on or before: ground and walls, from the Gaussians around it."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Doubles, Flags, Float64, Indices, PlanePoints, Points, Vector3
+from ...base.arrays import Doubles, Flags, Float64, Indices, OtherPoints, PlanePoints, Points, Vector3, Vectors
 
 RANSAC_TRIES = 300
 MAX_RANSAC_POINTS = 4000
 TOLERANCE_SHARE = 0.04  # of the size of what stands there: how far from a plane its Gaussians may lie
+SEARCH_MARGIN_SHARE = 0.8  # of a thing's size: how far around it planes, clones and loose parts are looked for
 MIN_PLANE_GAUSSIANS = 40
 MIN_PLANE_SHARE = 0.005  # of the Gaussians around
 THICKNESS_MEDIANS = 4.0  # a plane's half thickness, in median distances from it
@@ -47,49 +47,51 @@ class Plane:
         return np.abs(self.heights(points)) <= self.tolerance
 
 
+def tolerance_of(thing: Thing) -> float:
+    """Return how far from a plane below or behind a thing the plane's Gaussians may lie, in scene units."""
+    return TOLERANCE_SHARE * float(np.linalg.norm(np.ptp(thing, axis=0)))
+
+
+def near_thing(means: Vectors, thing: OtherPoints) -> tuple[Flags, float]:
+    """Return which Gaussians lie in the thing's box or around it, where planes are fitted, and the size of that box."""
+    low, high = np.quantile(thing, (0.01, 0.99), axis=0)
+    size = float(np.linalg.norm(high - low))
+    reach = SEARCH_MARGIN_SHARE * size
+    return ((means >= low - reach) & (means <= high + reach)).all(1), size
+
+
 def surfaces_around(thing: Thing, around: Points) -> list[Plane]:
-    """Return the planes around a thing that do not lie across several others: most points are on its side of each."""
+    """Return up to three planes that a thing touches and stands before, the largest first.
 
-    def is_before(plane: Plane) -> bool:
-        return bool((plane.heights(around) < -BEHIND_TOLERANCES * plane.tolerance).mean() <= MAX_SHARE_BEHIND)
-
-    return planes_around(thing, around, is_before)
-
-
-def planes_around(thing: Thing, around: Points, fits: Callable[[Plane], bool] = lambda _: True) -> list[Plane]:
-    """Return up to three planes among points around a thing that it touches and stands before, the largest first.
-
-    fits: what else is asked of each.
+    Most of the points around are on the thing's side of each: none lies across several other things.
     """
-    rng, rest = np.random.default_rng(0), around
-    tolerance = TOLERANCE_SHARE * float(np.linalg.norm(np.ptp(thing, axis=0)))
+    rng, rest, planes = np.random.default_rng(0), around, list[Plane]()
     least = max(MIN_PLANE_GAUSSIANS, int(MIN_PLANE_SHARE * len(around)))
-    planes: list[Plane] = []
     for _ in range(MAX_SEARCHES):  # some that are large are none that it stands on
-        plane = _largest(rest, thing, tolerance, rng) if len(rest) >= least else None
+        plane = _largest(rest, thing, rng) if len(rest) >= least else None
         if plane is None:
             break
         inside = plane.holds(rest)
         if np.count_nonzero(inside) < least:
             break
-        stands = _stands_on(plane, thing, rest[inside]) and fits(plane)
-        if stands and not any(_are_one(plane, other) for other in planes):
-            planes.append(plane)
+        # a thing stands on one ground, and before one wall of each direction
+        is_new = all(abs(float(plane.normal @ other.normal)) < SAME_NORMAL_COSINE for other in planes)
+        if is_new and _stands_on(plane, thing, rest[inside]):
+            behind = plane.heights(around) < -BEHIND_TOLERANCES * plane.tolerance
+            planes += [plane] if behind.mean() <= MAX_SHARE_BEHIND else []
         rest = rest[~inside]
     return planes[:MAX_PLANES]
 
 
 def largest_plane(points: Points, thing: Thing) -> Plane | None:
     """Return the plane that most of some points lie in, its normal to where a thing is; None for points on a line."""
-    return _largest(
-        points, thing, TOLERANCE_SHARE * float(np.linalg.norm(np.ptp(thing, axis=0))), np.random.default_rng(0)
-    )
+    return _largest(points, thing, np.random.default_rng(0))
 
 
-def _largest(points: Points, thing: Thing, tolerance: float, rng: np.random.Generator) -> Plane | None:
+def _largest(points: Points, thing: Thing, rng: np.random.Generator) -> Plane | None:
     """Return the plane through three of the points that most of them lie in, fitted to these."""
     some = points[:: -(-len(points) // MAX_RANSAC_POINTS)]
-    best, most = None, 0
+    best, most, tolerance = None, 0, tolerance_of(thing)
     a, b, c = some[rng.integers(len(some), size=(RANSAC_TRIES, 3))].transpose(1, 0, 2)
     for start, normal in zip(a, np.cross(b - a, c - a), strict=True):
         length = float(np.linalg.norm(normal))
@@ -113,14 +115,9 @@ def _fitted(points: Points, thing: Thing, tolerance: float) -> Plane:
     )
 
 
-def _are_one(plane: Plane, other: Plane) -> bool:
-    """Return True for planes of one direction: a thing stands on one ground, and before one wall of each."""
-    return abs(float(plane.normal @ other.normal)) >= SAME_NORMAL_COSINE
-
-
 def _stands_on(plane: Plane, thing: Thing, ground: Points) -> bool:
     """Return True if a thing is before a plane, touches it, and has it on several sides."""
-    heights, tolerance = plane.heights(thing), TOLERANCE_SHARE * float(np.linalg.norm(np.ptp(thing, axis=0)))
+    heights, tolerance = plane.heights(thing), tolerance_of(thing)
     before = float((heights < -tolerance).mean()) <= MAX_THING_SHARE_BEHIND
     touches = float(np.quantile(heights, 0.02)) <= MAX_TOUCHING_TOLERANCES * tolerance
     return before and touches and num_sides(plane.flat(thing), plane.flat(ground)) >= MIN_SIDES

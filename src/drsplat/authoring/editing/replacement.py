@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Indices, Matrix4, RowIds, Spans, Vector3
+from ...base.arrays import Matrix4, RowIds, Spans, Vector3
 from ...base.contents import AnyPath
 from ...errors import InputError, MismatchError, warn
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
@@ -93,14 +93,6 @@ def fitted(goes: Box, comes: Box) -> Matrix4:
     return matrix
 
 
-def placed_in(
-    scene: Gaussians, ids: RowIds, up: Vector3, other: Gaussians, others: Indices, up_there: Vector3
-) -> Matrix4:  # fmt: skip
-    """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
-    goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
-    return fitted(goes, comes)
-
-
 def _foot(box: Box) -> Vector3:
     return box.center - box.axes[2] * box.extent[2] / 2
 
@@ -109,14 +101,11 @@ def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector3 | None) -> Sc
     """Scale about the middle of where something stands; about its own middle where nothing tells what is up."""
     if up is None or not len(part):
         return Scale(factor)
-    box = box_of(part, solid(part, np.arange(len(part))), up)
-    x, y, z = (box.center - box.axes[2] * box.extent[2] / 2).tolist()
+    x, y, z = _foot(box_of(part, solid(part, np.arange(len(part))), up)).tolist()
     return Scale(factor, (x, y, z))
 
 
-def replaced_by(
-    part: Gaussians, up: Vector3, other: AnyPath, number: int | None, folder: Path
-) -> Replace:  # fmt: skip
+def replaced_by(part: Gaussians, up: Vector3, other: AnyPath, number: int | None, folder: Path) -> Replace:
     """Replace `part` by another scene, or by an object of the field in a folder. folder: where edits are kept.
 
     Up is as here in a scene that does not tell. Raises: InputError: no such scene or object; as `read_gaussians`.
@@ -132,5 +121,6 @@ def replaced_by(
         up_there = up if scene.up is None else scene.up
         ids = match_of(scene.field, objects_of(scene.field).thing(number)).gaussian_ids
         spans = spans_of(ids)
-    matrix = placed_in(part, np.arange(len(part)), up, gaussians, ids, up_there)
+    goes = box_of(part, solid(part, np.arange(len(part))), up)
+    matrix = fitted(goes, box_of(gaussians, solid(gaussians, ids), up_there))
     return Replace(os.path.relpath(path.resolve(), folder.resolve()), gaussians.fingerprint, matrix, spans)

@@ -2,26 +2,13 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...base.arrays import (
-    Bool,
-    Flags,
-    Float64,
-    IndexRows,
-    Indices,
-    Int64,
-    Integer,
-    OtherFlags,
-    OtherIndices,
-    RowIds,
-    WholeNumbers,
-)
+from ...base.arrays import Bool, Flags, Float64, IndexRows, Indices, Integer, OtherFlags, RowIds, WholeNumbers
 from ...errors import InputError
 from ...field import LanguageField
 from ...query import Query, Scene
@@ -29,7 +16,7 @@ from ...query.objects import match_of, objects_of
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from ...scene.morton import morton_order
-from .planes import MAX_THING_SHARE_BEHIND, MIN_PLANE_GAUSSIANS, Plane, largest_plane, num_sides
+from .planes import MAX_THING_SHARE_BEHIND, MIN_PLANE_GAUSSIANS, Plane, largest_plane, near_thing, num_sides
 from .surrounding import surrounded
 from .targets import Rows
 
@@ -40,7 +27,6 @@ MAX_THING_POINTS = 1500  # that directions are computed to
 VOTING_NEIGHBOURS = 8  # of a loose Gaussian
 MIN_VOTES = 5  # of these, for belonging to the thing
 VOTING_PASSES = 2
-SEARCH_MARGIN_SHARE = 0.8  # of the thing's size: how far around it parts are looked for
 MIN_FLAT_SHARE = 0.4  # of an object's area above its plane: with so much in the plane it is a floor, a table or a wall
 MIN_SIDES = 3  # of eight directions from the thing in which a plane around it must continue
 MIN_LIFT_TOLERANCES = 1.3  # above a plane, from which on a Gaussian is not part of it
@@ -78,23 +64,15 @@ def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
     if not matches:
         raise InputError(f"no match for “{words}”: `drsplat locate` prints how near it was")
     ids = np.concatenate([match.gaussian_ids for match in matches])
-    rows = completed(scene.gaussians, ids, *_objects(scene, answer.field), threads=scene.threads)
-    return Rows.of(rows, "query", words)
+    return Rows.of(complete_rows(scene, ids, answer.field), "query", words)
 
 
-def complete_rows(scene: Scene, ids: WholeNumbers) -> RowIds:
-    """Return rows of a scene with what nobody can tell apart from them; see `completed`."""
-    return completed(scene.gaussians, ids, *_objects(scene, scene.field), threads=scene.threads)
-
-
-def _objects(scene: Scene, field: LanguageField) -> tuple[Owners, Agreed]:
-    """Return the object's number of each Gaussian, and whether photos agree on each object.
-
-    Numbers are -1 for none, and where `field`, of an answer, has no objects.
-    """
-    if field.objects is None:
-        return np.full(len(scene.gaussians), -1, np.int64), np.zeros(0, bool)
-    return scene.object_ids().astype(np.int64), scene.agreed
+def complete_rows(scene: Scene, ids: WholeNumbers, field: LanguageField | None = None) -> RowIds:
+    """Return rows of a scene with what nobody can tell apart from them; see `completed`. field: None for its own."""
+    owners, agreed = np.full(len(scene.gaussians), -1, np.int64), np.zeros(0, bool)
+    if (scene.field if field is None else field).objects is not None:
+        owners, agreed = scene.object_ids().astype(np.int64), scene.agreed
+    return completed(scene.gaussians, ids, owners, agreed, threads=scene.threads)
 
 
 def completed(
@@ -124,9 +102,7 @@ def completed(
     return np.flatnonzero(inside)
 
 
-def rests(
-    inside: Flags, owners: Owners, agreed: Agreed
-) -> Flags:  # fmt: skip
+def rests(inside: Flags, owners: Owners, agreed: Agreed) -> Flags:
     """Return the Gaussians of objects that photos do not agree on and of which a thing has more than half."""
     owned = owners >= 0
     sizes, own = (np.bincount(owners[some], minlength=len(agreed)) for some in (owned, owned & inside))
@@ -153,7 +129,10 @@ def hanging(gaussians: Gaussians, inside: OtherFlags, loose: OtherFlags, threads
     neighbours: IndexRows = np.empty((0, min(VOTING_NEIGHBOURS + 1, len(gaussians))), np.int64)
     place = np.full(len(gaussians), -1)  # of each Gaussian among them
     for _ in range(VOTING_PASSES):
-        near = _in_box_of(gaussians, inside, np.flatnonzero(loose & ~inside))
+        thing = gaussians.means[inside]
+        low, high = thing.min(0, initial=np.inf), thing.max(0, initial=-np.inf)
+        within = ((gaussians.means >= low) & (gaussians.means <= high)).all(1)
+        near = np.flatnonzero(within & loose & ~inside)
         new = near[place[near] < 0]
         if len(new):
             new = new[morton_order(gaussians.means[new])]  # queries of neighbours, one after another, are fast
@@ -164,15 +143,6 @@ def hanging(gaussians: Gaussians, inside: OtherFlags, loose: OtherFlags, threads
             neighbours = np.concatenate([neighbours, found])
         inside[near] = inside[neighbours[place[near]]].sum(1) >= MIN_VOTES
     return inside
-
-
-def _in_box_of(gaussians: Gaussians, inside: Flags, rows: OtherIndices) -> Int64[np.ndarray, " s"]:
-    """Return those of some rows whose centres are in the box of a thing's."""
-    if not inside.any():
-        return rows[:0]
-    low, high = gaussians.means[inside].min(0), gaussians.means[inside].max(0)
-    within = ((gaussians.means[rows] >= low) & (gaussians.means[rows] <= high)).all(1)
-    return rows[within]
 
 
 def _sphere(count: int) -> Points:
@@ -200,34 +170,22 @@ def loose_parts(gaussians: Gaussians, inside: Flags, owners: Owners, agreed: Agr
     thing = gaussians.means[inside & (gaussians.opacities >= HAZE_OPACITY)].astype(np.float64)
     if len(thing) < MIN_PLANE_GAUSSIANS:
         return np.zeros_like(inside)
-    low, high = np.quantile(thing, (0.01, 0.99), axis=0)
-    size = float(np.linalg.norm(high - low))
-    near = (
-        (gaussians.means >= low - SEARCH_MARGIN_SHARE * size) & (gaussians.means <= high + SEARCH_MARGIN_SHARE * size)
-    ).all(1)
+    near, size = near_thing(gaussians.means, thing)
     others = near & ~inside & (owners >= 0)
     others[others] = agreed[owners[others]]
     standing, places = near & ~inside, gaussians.means[near].astype(np.float64)
-    for ground in _grounds(gaussians, owners, others, ~inside, thing, size):
-        others &= owners != ground.number
-        standing[near] &= ground.plane.heights(places) > MIN_LIFT_TOLERANCES * ground.plane.tolerance
+    for number, plane in _grounds(gaussians, owners, others, ~inside, thing, size):
+        others &= owners != number
+        standing[near] &= plane.heights(places) > MIN_LIFT_TOLERANCES * plane.tolerance
     sizes = gaussians.scales.max(1)
     small = sizes <= np.quantile(sizes[inside], MAX_SIZE_QUANTILE)
     return _nearest_along_paths(gaussians, inside & near, others & standing, standing & ~others & small, threads)
 
 
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """The plane of an object that is a floor, a table or a wall; and the object's number."""
-
-    number: int
-    plane: Plane
-
-
 def _grounds(
     gaussians: Gaussians, owners: Owners, near: Flags, rest: Flags, thing: Thing, size: float
-) -> Iterator[_Ground]:
-    """Yield the objects that a thing stands on or before: planes as a whole, or near the thing.
+) -> Iterator[tuple[int, Plane]]:
+    """Yield the numbers and planes of objects that a thing stands on or before, as a whole or near it: floor, wall.
 
     near, rest: Gaussians of other objects around the thing, and all that are not the thing's.
     """
@@ -243,7 +201,7 @@ def _grounds(
         whole = _plane_of(gaussians, rows & rest, thing, is_large)
         plane = whole or _plane_of(gaussians, rows & near, thing, is_around)
         if plane is not None:
-            yield _Ground(number, plane)
+            yield number, plane
 
 
 def _plane_of(

@@ -6,7 +6,7 @@ minutes. Places of one box see most points in the same bins, so boxes are halved
 
 import numpy as np
 
-from ...base.arrays import Bool, Flags, Float64, Indices, OtherIndices
+from ...base.arrays import Bool, Flags, Float64, Indices
 
 MAX_LEAF_PLACES = 4  # of a box in which each place is computed
 RELATIVE_ROUNDING = 1e-12  # more than what products of three numbers are off
@@ -35,7 +35,9 @@ def surrounded(places: Places, points: Points, directions: Directions, min_bins:
         if hit.sum() >= min_bins:
             result[rows] = True
         elif reachable.sum() >= min_bins:
-            boxes += [(half, open_points, hit) for half in _halves(rows, here)]
+            # halves, cut across the longest side
+            order = np.argpartition(here[:, np.ptp(here, axis=0).argmax()], len(rows) // 2)
+            boxes += [(rows[half], open_points, hit) for half in np.array_split(order, [len(rows) // 2])]
     return result
 
 
@@ -68,9 +70,3 @@ def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> I
     hits = np.tile(hit, (len(places), 1))
     np.put_along_axis(hits, nearest, True, axis=1)
     return hits.sum(1)
-
-
-def _halves(rows: Indices, places: Places) -> list[OtherIndices]:
-    """Return the rows of either half of a box, cut across its longest side."""
-    order = np.argpartition(places[:, np.ptp(places, axis=0).argmax()], len(rows) // 2)
-    return [rows[half] for half in np.array_split(order, [len(rows) // 2])]

@@ -4,7 +4,7 @@ A format of other programs may not hold all of it; what it could not is told.
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -39,17 +39,12 @@ Only = Literal["matches"] | Rows | None
 RELEVANCY, ONLY = "relevancy", "drsplat_only"  # columns that go along with the rows while they are edited
 
 
-@dataclass(frozen=True, eq=False)
-class _QueryMatches:
+class _QueryMatches(NamedTuple):
     """The answer to a query and its matches. words: the query in words."""
 
     answer: Answer
     matches: list[Match]
     words: str
-
-    @property
-    def numbered(self) -> list[tuple[int, Match]]:
-        return list(enumerate(self.matches))
 
 
 def labelled(
@@ -79,7 +74,10 @@ def labelled(
     Raises: InputError: nothing is left, a scene that moves without a time, no Gaussians; as `Scene.ask`.
     """
     standing, views = _standing(scene, time), _views(scene) if photos else ()
-    found = None if query is None else _matches_of(standing, query, words)
+    found = None
+    if query is not None:
+        answer, text = standing.ask(query).without_maybe(), query if isinstance(query, str) else query.text
+        found = _QueryMatches(answer, standing.locate(answer), words or text or "query")
     columns = _columns(standing, found, _chosen(standing, only, found))
     own = replace(standing.gaussians, extra={**standing.gaussians.extra, **columns})
     listed = kept_edits(scene.path, scene.gaussians, edits)
@@ -88,6 +86,7 @@ def labelled(
     placing = Placing(scene.gaussians, after, scene.up)
     things, groups = placing.objects(things_of(scene, embeddings)), groups_of(scene)
     owners = after.everything.extra[OBJECT_ID][kept] if OBJECT_ID in columns else None
+    boxes = [] if found is None else [match_thing(scene, *one) for one in enumerate(found.matches)]
     whole_scene = LabelledScene(
         _without(_rows(after.everything, kept), columns),
         written_name(scene.name),
@@ -96,7 +95,7 @@ def labelled(
         None if owners is None else rows_of(things, owners),
         "" if found is None else found.words,
         None if found is None else after.everything.extra[RELEVANCY][kept],
-        () if found is None else placing.matches(found.matches, [match_thing(scene, *one) for one in found.numbered]),
+        () if found is None else placing.matches(found.matches, boxes),
         annotations_of(scene.path),
         _up_of(scene),
         scene.field.encoder.name if embeddings else "",
@@ -200,12 +199,6 @@ def _standing(scene: Scene, time: float | None) -> Scene:
     _at(scene.motion, time)
     assert time is not None
     return scene.at(time)
-
-
-def _matches_of(scene: Scene, query: Query | str, words: str) -> _QueryMatches:
-    answer = scene.ask(query).without_maybe()
-    text = query if isinstance(query, str) else query.text
-    return _QueryMatches(answer, scene.locate(answer), words or text or "query")
 
 
 def _chosen(scene: Scene, only: Only, found: _QueryMatches | None) -> Rows | None:

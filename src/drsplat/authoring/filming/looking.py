@@ -60,7 +60,7 @@ def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector
     Of the photos that have its middle in the picture, the one taken from about the best distance; without any, a place
     a little above it.
     """
-    return beside(match.center, size_of(match, gaussians), views, up)
+    return beside(match.center, size_in(match.extent, radius_of(gaussians)), views, up)
 
 
 class Standpoints(NamedTuple):
@@ -99,19 +99,14 @@ def beside(center: Vector3, size: float, views: Sequence[View] | Standpoints, up
     z = np.where(z > 0, z, np.nan)
     u = (K[:, 0, 0] * x / z + K[:, 0, 2]) / sizes[:, 0]
     v = (K[:, 1, 1] * y / z + K[:, 1, 2]) / sizes[:, 1]
-    showing = np.asarray((np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE))
+    showing = (np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE)
     unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
     best = int(unfit.argmin())
     return center + ways[best] * min(1.0, distance / lengths[best])
 
 
-def size_of(match: Match, gaussians: Gaussians) -> float:
-    """Return the longest side of a match's box, but not less than a small part of the scene."""
-    return size_in(match.extent, radius_of(gaussians))
-
-
 def size_in(extent: Vector3, radius: float) -> float:
-    """Return the size of a box in a scene of some radius; see `size_of`."""
+    """Return the longest side of a box, but not less than a small part of the scene, of some radius."""
     return max(float(extent.max()), MIN_SIZE_SHARE * radius, 1e-6)
 
 
@@ -129,10 +124,6 @@ def swing(eye: Vector3, target: Vector3, up: Vector3, frames: int, turn_degrees:
     if frames < 2:
         raise InputError(f"a swing needs two frames or more, got {frames}")
     angles = np.radians(turn_degrees / 2) * np.sin(2 * np.pi * np.arange(frames) / frames)
-    return [target + _turned(eye - target, up, float(angle)) for angle in angles]
-
-
-def _turned(vector: Vector3, axis: Vector3, angle: float) -> Vector3:
-    """Turn a vector around an axis of unit length, by Rodrigues' formula."""
-    along = (axis @ vector) * axis
-    return along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)
+    arm = eye - target  # turned around `up` by Rodrigues' formula
+    along, across = (up @ arm) * up, np.cross(up, arm)
+    return [target + (along + np.cos(angle) * (arm - along) + np.sin(angle) * across) for angle in angles]

@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -100,19 +99,35 @@ class CameraPath:
     def __repr__(self) -> str:
         return f"CameraPath({len(self.keys)} key frames{', closed' if self.closed else ''})"
 
-    @property
-    def is_timed(self) -> bool:
-        return self.keys[0].seconds is not None
-
     def at(self, shares: Doubles) -> list[KeyFrame]:
         """Return the cameras at shares of the path's time, from 0 to 1."""
-        knots = self._knot_at(shares)
-        return [
-            KeyFrame(eye, rotation, float(np.clip(fov, *FOV_BOUNDS_DEGREES)))
-            for eye, rotation, fov in zip(
-                self._curve(knots), self._turning(knots).as_matrix(), self._lens(knots), strict=True
-            )
-        ]
+        # the key frames, of a closed path with some of the other end at each end
+        count, beyond = len(self.keys), WRAPPED_KEYS if self.closed else 0
+        around = [self.keys[number % count] for number in range(-beyond, count + self.closed + beyond)]
+        eyes = np.array([key.eye for key in around])
+        rotations = Rotation.from_matrix(np.array([key.rotation for key in around]))
+        is_timed = self.keys[0].seconds is not None
+        if is_timed:
+            knots = np.array([key.seconds for key in self.keys], np.float64)
+        elif self.even:
+            knots = np.arange(len(around), dtype=np.float64)
+        else:  # centripetal: set apart by roots of distances
+            gaps = np.sqrt(_gaps(eyes, rotations))
+            gaps = np.maximum(gaps, MIN_GAP_SHARE * gaps.mean()) if gaps.any() else np.ones(len(gaps))
+            knots = np.concatenate([[0], np.cumsum(gaps)])
+        curve = CubicHermiteSpline(knots, eyes, _tangents(knots, eyes))
+        turning = RotationSpline(knots, rotations)
+        lens = PchipInterpolator(knots, [key.fov_degrees for key in around])
+        shown, times = knots[beyond : len(knots) - beyond], np.clip(shares, 0, 1)
+        if self.even or is_timed:
+            places = shown[0] + times * (shown[-1] - shown[0])
+        else:  # at one speed
+            steps = np.arange((len(shown) - 1) * LENGTH_STEPS + 1) / LENGTH_STEPS
+            fine = np.interp(steps, np.arange(len(shown)), shown)
+            way = np.concatenate([[0], np.cumsum(_gaps(curve(fine), turning(fine)))])
+            places = np.interp(times * way[-1], way, fine)
+        parts = zip(curve(places), turning(places).as_matrix(), np.clip(lens(places), *FOV_BOUNDS_DEGREES), strict=True)
+        return [KeyFrame(eye, rotation, float(fov)) for eye, rotation, fov in parts]
 
     def views(self, frames: int, size: tuple[int, int]) -> list[View]:
         """Return a view for each picture of a film; the last of a closed path is the one before the first.
@@ -124,69 +139,12 @@ class CameraPath:
         shares = np.arange(frames) / max(frames if self.closed else frames - 1, 1)
         return [key.view(size, f"frame_{number:05d}") for number, key in enumerate(self.at(shares))]
 
-    # --- the curve, over knots that centripetal distances set apart ---
 
-    @cached_property
-    def _around(self) -> list[KeyFrame]:
-        """The key frames, of a closed path with some of the other end at each end."""
-        if not self.closed:
-            return list(self.keys)
-        count = len(self.keys)
-        return [self.keys[number % count] for number in range(-WRAPPED_KEYS, count + 1 + WRAPPED_KEYS)]
-
-    @property
-    def _first(self) -> int:
-        return WRAPPED_KEYS if self.closed else 0
-
-    @property
-    def _last(self) -> int:
-        return self._first + len(self.keys) - (0 if self.closed else 1)
-
-    @cached_property
-    def _knots(self) -> Doubles:
-        if self.is_timed:
-            return np.array([key.seconds for key in self.keys], np.float64)
-        if self.even:
-            return np.arange(len(self._around), dtype=np.float64)
-        gaps = np.sqrt(self._gaps(self._eyes, self._rotations))
-        gaps = np.maximum(gaps, MIN_GAP_SHARE * gaps.mean()) if gaps.any() else np.ones(len(gaps))
-        return np.concatenate([[0], np.cumsum(gaps)])
-
-    @cached_property
-    def _eyes(self) -> Points:
-        return np.array([key.eye for key in self._around])
-
-    @cached_property
-    def _rotations(self) -> Rotation:
-        return Rotation.from_matrix(np.array([key.rotation for key in self._around]))
-
-    @cached_property
-    def _curve(self) -> CubicHermiteSpline:
-        return CubicHermiteSpline(self._knots, self._eyes, _tangents(self._knots, self._eyes))
-
-    @cached_property
-    def _turning(self) -> RotationSpline:
-        return RotationSpline(self._knots, self._rotations)
-
-    @cached_property
-    def _lens(self) -> PchipInterpolator:
-        return PchipInterpolator(self._knots, [key.fov_degrees for key in self._around])
-
-    def _gaps(self, eyes: Points, rotations: Rotation) -> OtherDoubles:
-        """Return how far each is from the next: moving and turning count alike, in shares of all of each."""
-        moved = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
-        turned = (rotations[:-1].inv() * rotations[1:]).magnitude()
-        return sum(part / part.sum() for part in (moved, turned) if part.sum() > 1e-12) + np.zeros(len(moved))
-
-    def _knot_at(self, shares: Doubles) -> Doubles:
-        """Return where on the curve the camera is; `even` and timed paths run as the knots do."""
-        shown = self._knots[self._first : self._last + 1]
-        if self.even or self.is_timed:
-            return shown[0] + np.clip(shares, 0, 1) * (shown[-1] - shown[0])
-        steps = np.arange((len(shown) - 1) * LENGTH_STEPS + 1) / LENGTH_STEPS
-        fine = np.interp(steps, np.arange(len(shown)), shown)
-        way = np.concatenate([[0], np.cumsum(self._gaps(self._curve(fine), self._turning(fine)))])
-        return np.interp(np.clip(shares, 0, 1) * way[-1], way, fine)
+def _gaps(eyes: Points, rotations: Rotation) -> OtherDoubles:
+    """Return how far each is from the next: moving and turning count alike, in shares of all of each."""
+    moved = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
+    turned = (rotations[:-1].inv() * rotations[1:]).magnitude()
+    return sum(part / part.sum() for part in (moved, turned) if part.sum() > 1e-12) + np.zeros(len(moved))
 
 
 def _tangents(knots: Doubles, points: Points) -> Points:
@@ -292,7 +250,7 @@ def _said(whole: object, names: Sequence[str]) -> dict[str, object]:
 
 @contextmanager
 def _blamed(where: str) -> Iterator[None]:
-    """Blame a part of the file for values that no path can be made of."""
+    """Name the part of a file whose values no path can be made of."""
     try:
         yield
     except InputError as error:

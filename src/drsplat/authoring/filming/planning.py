@@ -83,9 +83,14 @@ def planned(
 
     Raises: InputError: no pictures or too many, too large ones, or a width that cannot be shared.
     """
-    rate = _first(fps, path.fps, DEFAULT_FPS)
-    lasts = _first(seconds, path.seconds, SECONDS_PER_KEY * (len(path.keys) - 1))
-    whole = _wished(path, views, sides) if size is None else size
+    defaults = DEFAULT_FPS, SECONDS_PER_KEY * (len(path.keys) - 1)
+    wishes = zip((fps, seconds), (path.fps, path.seconds), defaults, strict=True)
+    rate, lasts = (next(one for one in wish if one is not None) for wish in wishes)
+    whole = size
+    if whole is None:  # that of the path or of the photos, with even sides as films need them
+        default = views[0].limited(MAX_PHOTO_SIDE_PIXELS).size if views else DEFAULT_SIZE_PIXELS
+        width, height = path.size or default
+        whole = sides * max(2, width - width % 2), max(2, height - height % 2)
     check_size(whole)
     if whole[0] % sides:
         raise InputError(
@@ -93,20 +98,6 @@ def planned(
             f"got {whole[0]}x{whole[1]}"
         )
     return Plan(path.views(frame_count(lasts, rate), (whole[0] // sides, whole[1])), rate, whole)
-
-
-def _wished(path: CameraPath, views: Sequence[View], sides: int) -> tuple[int, int]:
-    """Return the size of a path or of the photos, with even sides as films need them."""
-    width, height = path.size or DEFAULT_SIZE_PIXELS
-    if path.size is None and views:
-        view = views[0].limited(MAX_PHOTO_SIDE_PIXELS)
-        width, height = view.width, view.height
-    return sides * max(2, width - width % 2), max(2, height - height % 2)
-
-
-def _first(*given: float | None) -> float:
-    """Return the first value that is not None."""
-    return next(one for one in given if one is not None)
 
 
 class Around(NamedTuple):
@@ -179,8 +170,10 @@ def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector3) -> Ar
     """
     if not len(gaussians):
         raise InputError("there is nothing to go around: the scene has no Gaussians")
-    middle, reach = _extent_of(gaussians)
+    middle = np.median(gaussians.positions, axis=0)
     if not views:
+        away = np.linalg.norm(gaussians.positions - middle, axis=1)
+        reach = float(np.quantile(away, RADIUS_QUANTILE)) or 1.0
         side = np.cross(up, np.roll(up, 1) + 1e-3)
         side = side / np.linalg.norm(side)
         return Around(middle, middle + ORBIT_RADIUS * reach * (side + ORBIT_RISE * up))
@@ -204,14 +197,7 @@ def focus_of(views: Sequence[View], middle: Vector3) -> Vector3:
         across.sum(0) + held * len(views), np.einsum("vij,vj->i", across, eyes) + held @ middle * len(views)
     )
     faced = np.einsum("vi,vi->v", found - eyes, ahead) > 0
-    return np.asarray(found if faced.mean() > MIN_FACING_SHARE else middle)
-
-
-def _extent_of(gaussians: Gaussians) -> tuple[Vector3, float]:
-    points = gaussians.positions
-    middle = np.median(points, axis=0)
-    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), RADIUS_QUANTILE))
-    return middle, reach if reach > 0 else 1.0
+    return found if faced.mean() > MIN_FACING_SHARE else middle
 
 
 def _looking(eyes: Points, around: Around, up: Vector3) -> list[KeyFrame]:

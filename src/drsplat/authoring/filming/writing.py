@@ -75,7 +75,8 @@ def encode(file: BinaryIO, path: Path, pictures: Iterable[OtherPixels], size: tu
                 running.kill()
                 raise
         if code != 0:
-            raise InputError(f"{path}: ffmpeg failed ({_end_of(code)}): {_words(said)}")
+            end = f"signal {-code}" if code < 0 else f"exit code {code}"
+            raise InputError(f"{path}: ffmpeg failed ({end}): {_words(said)}")
 
 
 def _hand_over(pipe: IO[bytes] | None, pictures: Iterable[OtherPixels]) -> None:
@@ -111,10 +112,6 @@ def _encoders(program: str) -> frozenset[str]:
         raise InputError(f"{program} does not run: {error}") from error
     lines = (line.split() for line in listed.stdout.decode(errors="replace").splitlines())
     return frozenset(parts[1] for parts in lines if len(parts) > 1)
-
-
-def _end_of(code: int) -> str:
-    return f"signal {-code}" if code < 0 else f"exit code {code}"
 
 
 def _words(said: IO[bytes]) -> str:

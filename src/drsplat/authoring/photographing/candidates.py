@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -59,10 +58,6 @@ class PhotographSettings:
         if not all(0 <= number <= 1 for number in self.background):
             raise InputError(f"background: expected red, green and blue from 0 to 1, got {self.background}")
 
-    def json(self) -> dict[str, object]:
-        """Return the settings for the record."""
-        return asdict(self)
-
 
 MAX_PLACES = 48  # in free space to consider
 MIN_ENCLOSED_SHARE = 0.65  # of directions that show something, at a place within a room
@@ -84,15 +79,8 @@ WHOLE_QUANTILE = 0.95  # of the Gaussians' distances from the middle, for a pict
 GOLDEN_TURN_RADIANS = np.pi * (3 - np.sqrt(5))
 
 
-class Candidates(NamedTuple):
-    """Cameras that a choice is made from. kind: "room", "object", or "mixed"."""
-
-    kind: str
-    views: list[View]
-
-
-def candidates(space: Space, settings: PhotographSettings) -> Candidates:
-    """Return cameras in free space, none of them inside Gaussians.
+def candidates(space: Space, settings: PhotographSettings) -> tuple[str, list[View]]:
+    """Return "room", "object" or "mixed", and cameras in free space, none of them inside Gaussians.
 
     In a room they are at the places enclosed by it. Where few free places are enclosed, the scene is an object with
     more or less around it: cameras are around it, and at the enclosed places, too.
@@ -114,7 +102,7 @@ def candidates(space: Space, settings: PhotographSettings) -> Candidates:
             "there is no free place for a camera in or around this scene: name a path of your own, key frames of which "
             "are in front of what is to be seen"
         )
-    return Candidates("room" if is_room else "mixed" if inside else "object", views)
+    return "room" if is_room else "mixed" if inside else "object", views
 
 
 def _in_room(space: Space, places: list[Vector3], settings: PhotographSettings) -> Iterator[View]:

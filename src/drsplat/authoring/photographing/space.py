@@ -103,7 +103,7 @@ class Space:
         inside = np.floor((self._surface_points - low) / side).astype(int)
         in_box = ((inside >= 0) & (inside < shape)).all(1)
         flat = np.ravel_multi_index(tuple(inside[in_box].T), tuple(shape))
-        opacity = np.bincount(flat, self._surface_opacities[in_box], minlength=int(shape.prod()))
+        opacity = np.bincount(flat, np.tile(self.gaussians.opacities, 7)[in_box], minlength=int(shape.prod()))
         occupied = (opacity >= OCCUPIED_OPACITY).reshape(shape)
         if not occupied.any():
             return np.empty((0, 3))
@@ -121,10 +121,6 @@ class Space:
         arms = rotation_matrices(g.quats.astype(np.float64)) * g.scales[:, None, :]
         steps = [arms[:, :, axis] * sign for axis in range(3) for sign in (1, -1)]
         return np.concatenate([g.positions, *(g.positions + step for step in steps)])
-
-    @cached_property
-    def _surface_opacities(self) -> Numbers:
-        return np.tile(self.gaussians.opacities, 7)
 
     def is_near(self, eye: Vector3) -> Flags:
         """Return which Gaussians are nearer to a place than the clearance, or around it."""

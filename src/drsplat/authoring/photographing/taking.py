@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,7 +40,7 @@ AXES = ("x", "y", "z")
 
 
 class Plan(NamedTuple):
-    """Planned poses. kind: as of `Candidates`, or "path". num_candidates: number of cameras to choose from."""
+    """Planned poses. kind: as `candidates` says, or "path". num_candidates: number of cameras to choose from."""
 
     kind: str
     views: list[View]
@@ -97,7 +98,7 @@ def photograph(
                 "antialiased": gaussians.antialiased,
             },
             "time": None if settings.time is None else float(settings.time),
-            "settings": settings.json(),
+            "settings": asdict(settings),
             "kind": plan.kind,
             "up": axis_name(up),
             "up_from": "scene" if settings.up is None else "settings",
@@ -116,12 +117,12 @@ def planned(space: Space, settings: PhotographSettings, track: Track = untracked
 
     Raises: InputError: no place for a camera, or nothing to see.
     """
-    pool = candidates(space, settings)
-    seen = sights(space, pool.views, track).sharp()
+    kind, views = candidates(space, settings)
+    seen = sights(space, views, track).sharp()
     chosen = chosen_views(seen, settings.number)
     if not chosen:
         raise InputError("no camera sees anything of this scene that is not right before it: give a path of your own")
-    return Plan(pool.kind, [seen.views[at] for at in chosen], seen.coverage(chosen), len(pool.views))
+    return Plan(kind, [seen.views[at] for at in chosen], seen.coverage(chosen), len(views))
 
 
 def along(space: Space, path: CameraPath, settings: PhotographSettings, track: Track = untracked) -> Plan:

@@ -7,7 +7,7 @@ from ...base.arrays import Flags, Ids, OtherFlags
 from ...errors import MismatchError
 from ...kernels.algebra import changed_columns as merged
 from .aggregation.entries import by_name, canonical
-from .evidence import Evidence, MaskIds
+from .evidence import Evidence, MaskIds, csr_of
 
 REMOVED_COLUMN = -1
 
@@ -65,7 +65,4 @@ def changed_columns(weights: csr_array, columns: Ids, added: csr_array) -> csr_a
     new numbers.
     """
     pair = ((part.indptr, part.indices, part.data) for part in (weights, added))
-    starts, indices, data = merged(next(pair), columns, next(pair))
-    # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
-    indptr = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
-    return csr_array((data, indices, indptr), shape=added.shape)
+    return csr_of(*merged(next(pair), columns, next(pair)), added.shape[1])

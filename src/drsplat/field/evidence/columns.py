@@ -22,6 +22,7 @@ from ...scene.photo_masks import load_mask
 from ...scene.photos import undistort_ids
 from ...scene.views import View, same_aspect
 from .aggregation import Sampling
+from .evidence import csr_of
 from .provenance import KEY_BYTES
 
 COLUMNS_VERSION = "2"
@@ -219,9 +220,7 @@ def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_r
         indices[position], weights[position] = masks + offset, values
         cursor[ids[first]] += runs
         offset += width
-    # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
-    starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
-    return csr_array((weights, indices, starts), shape=(num_rows, offset))
+    return csr_of(starts, indices, weights, offset)
 
 
 def _runs(ids: UnsignedIds) -> tuple[OtherIndices, OtherIndices]:

@@ -164,17 +164,13 @@ class Evidence:
 
     def rows(self, index: WholeNumbers) -> "Evidence":
         """Return the evidence of some rows, in that order; weights are shared where only empty rows are dropped."""
-        indptr = self.weights.indptr
-        lengths = np.diff(indptr)[index]
-        ascending = (np.diff(index) > 0).all()
-        if ascending and int(lengths.sum()) == indptr[-1]:
-            starts = np.append(indptr[index], indptr[-1]).astype(indptr.dtype)
-            return self._with_weights(self.weights.data, self.weights.indices, starts)
-        weights = self.weights[index]
-        return self._with_weights(weights.data, weights.indices, weights.indptr)
-
-    def _with_weights(self, data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> "Evidence":
-        weights = _matrix(Entries(indptr, indices, data), self.weights.shape[1])
+        weights = self.weights
+        lengths = np.diff(weights.indptr)[index]
+        if (np.diff(index) > 0).all() and int(lengths.sum()) == weights.indptr[-1]:
+            starts = np.append(weights.indptr[index], weights.indptr[-1])
+            weights = csr_of(starts, weights.indices, weights.data, weights.shape[1])
+        else:
+            weights = weights[index]
         return Evidence(weights, self.masks, self.embeddings)
 
     def column_sums(self, rows: RowIds) -> Numbers:
@@ -201,11 +197,9 @@ class Evidence:
         support = data[of_row] * row_products(self.embeddings[columns].astype(np.float64), query)
         total = support[support > 0].sum()
         order = np.argsort(-support, kind="stable")[:top]
-        return [self._explanation(int(columns[k]), float(support[k] / total)) for k in order if support[k] > 0]
-
-    def _explanation(self, column: int, share: float) -> Explanation:
-        masks = self.masks
-        return Explanation(masks.view_names[masks.views[column]], int(masks.ids[column]), share)
+        masks, best = self.masks, order[support[order] > 0]
+        shown = zip(columns[best].tolist(), (support[best] / total).tolist(), strict=True)
+        return [Explanation(masks.view_names[masks.views[j]], int(masks.ids[j]), share) for j, share in shown]
 
     def tensors(self) -> Arrays:
         """Return the arrays by name, as they are written to files; `metadata` holds the rest."""
@@ -244,14 +238,18 @@ class StoredEvidence(Evidence):
 
     @cached_property
     def weights(self) -> Sparse:  # type: ignore[override]
-        return _matrix(self.entries, len(self.embeddings))
+        return csr_of(*self.entries, len(self.embeddings))
 
 
-def _matrix(entries: Entries, columns: int) -> Sparse:
+def csr_of(starts: RowIds, indices: WholeNumbers, data: np.ndarray, columns: int) -> Sparse:
+    """Return the matrix whose rows begin at `starts` among the entries.
+
+    Starts get the type of most columns: SciPy gives both the wider one, and would make 12 bytes of 8.
+    """
     from scipy.sparse import csr_array
 
-    indptr, indices, data = entries
-    return csr_array((data, indices, indptr), shape=(len(indptr) - 1, columns))
+    kind = np.int32 if starts[-1] < 1 << 31 else np.int64
+    return csr_array((data, indices, starts.astype(kind, copy=False)), shape=(len(starts) - 1, columns))
 
 
 _ARRAYS = {
@@ -268,16 +266,19 @@ def evidence_from_tensors(tensors: ArraysByName, metadata: Mapping[str, str], wh
     """
     check_tensors(tensors, _ARRAYS | (_TIMES if "view_times" in tensors else {}), where)
     indptr, indices, data, embeddings, views, ids = (np.asarray(tensors[name]) for name in _ARRAYS)
-    # SciPy would read where the row starts point.
-    whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
-    if not whole or (indptr[1:] < indptr[:-1]).any():
-        raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
     names, rendered = (
         as_kind(document_in(metadata.get(name, default), where), tuple[str, ...], f"{where}: {name}")
         for name, default in (("view_names", ""), ("rendered_from", "[]"))
     )
     try:
+        check_starts(indptr, len(indices))
         masks = MaskIds(names, views, ids, tensors.get("view_times"), rendered)
         return StoredEvidence.of(Entries(indptr, indices, data), masks, embeddings)
     except ValueError as error:
         raise FormatError(f"{where}: {error}") from error
+
+
+def check_starts(starts: RowIds, entries: int) -> None:
+    """Refuse row starts that do not fit, of which SciPy would read where they point. Raises: InputError."""
+    if not len(starts) or (starts[0], starts[-1]) != (0, entries) or (starts[1:] < starts[:-1]).any():
+        raise InputError(f"row starts do not fit {entries} entries")

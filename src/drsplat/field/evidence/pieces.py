@@ -9,6 +9,7 @@ from scipy.sparse import csr_array, vstack
 from ...base.arrays import Doubles, Indices
 from ...base.contents import release
 from ...base.working import Held, Work
+from .evidence import csr_of
 
 PIECE_ENTRIES = 1 << 24  # 128 MB of weights
 
@@ -37,8 +38,7 @@ class HeldRows:
 
     def piece(self, number: int) -> csr_array:
         arrays = self.pieces[number].arrays
-        shape = (len(arrays["indptr"]) - 1, self.columns)
-        return csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
+        return csr_of(arrays["indptr"], arrays["indices"], arrays["data"], self.columns)
 
     def totals(self) -> Doubles:
         """Return the weight of each column."""

@@ -83,7 +83,8 @@ class Provenance:
         cameras = None
         if self.cameras is not None and other.cameras is not None:
             cameras = np.concatenate([self.cameras, other.cameras])[order]
-        return Provenance(axes, keys, _joined((self.isa, other.isa)), self.level or other.level, cameras)
+        isas = {*self.isa.split("+"), *other.isa.split("+")}
+        return Provenance(axes, keys, "+".join(sorted(isas)), self.level or other.level, cameras)
 
 
 def cameras_of(views: Sequence[View]) -> Float64[np.ndarray, "v 18"]:
@@ -99,7 +100,3 @@ def _view(name: str, numbers: Float64[np.ndarray, " 18"]) -> View:
     lens = np.array([[across, 0.0, x], [0.0, down, y], [0.0, 0.0, 1.0]])
     whole = np.concatenate([pose, [[0.0, 0, 0, 1]]])
     return View(name, width=int(width), height=int(height), K=lens, cam_from_world=whole)
-
-
-def _joined(isas: Sequence[str]) -> str:
-    return "+".join(sorted({isa for joined in isas for isa in joined.split("+")}))

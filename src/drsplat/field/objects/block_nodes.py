@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from ...base.arrays import (
     AnyPoints,
     Arrays,
-    Bool,
     DoubleRows,
     Doubles,
     Flags,
@@ -22,6 +21,8 @@ from ...base.arrays import (
     Indices,
     Int32,
     Int64,
+    Numbers,
+    OtherFlags,
     OtherIds,
     OtherIndices,
     Vector3,
@@ -32,12 +33,10 @@ from ...base.working import Held
 from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.morton import morton_codes, morton_order
 from ..evidence.aggregation.entries import with_entries
+from ..evidence.evidence import csr_of
 from ..evidence.pieces import HeldRows
 from ..forest import owner_nodes
 from .choosing import NONE, holding, pairs_above
-
-NodeFlags = Bool[np.ndarray, " t"]
-OfNodes = Int32[np.ndarray, " t"]
 
 EDGE_SHARE = 0.9  # of the way to the end of the surroundings: what has rows beyond it goes on outside
 INNER_SHARE = 2 / 3  # of that way: rows within tell which nodes of two blocks are one
@@ -113,8 +112,7 @@ class Nodes:
         points, weights = scene["points"][rows], self.weights.rows(rows)
         weights = with_entries(weights, scene["kept"][weights.indices] & (weights.data > 0))
         columns, indices = np.unique(weights.indices, return_inverse=True)
-        entries = (weights.data, indices.astype(np.int32), weights.indptr)
-        weights = csr_array(entries, shape=(len(rows), len(columns)))
+        weights = csr_of(weights.indptr, indices.astype(np.int32), weights.data, len(columns))
         views, masses, embeddings = (scene[name][columns] for name in ("views", "masses", "embeddings"))
         rest = np.maximum(masses - np.bincount(weights.indices, weights.data, len(columns)), 0)
         elsewhere = csr_array(np.where(rest > ROUNDING_SHARE * masses, rest, 0).astype(np.float32)[None])
@@ -166,22 +164,22 @@ class BlockNodes(NamedTuple):
     their rows inside in each mask, a row for each node that is cut. views: those that see the block.
     """
 
-    rows: Indices
-    lowest: Ids
-    inside: Flags
-    sure: Flags
-    parents: OfNodes
-    ranks: OfNodes
-    fits: Float32[np.ndarray, " t"]
-    spreads: Float32[np.ndarray, " t"]
-    cut: NodeFlags
+    rows: OtherIndices
+    lowest: Int32[np.ndarray, " m"]
+    inside: OtherFlags
+    sure: OtherFlags
+    parents: Ids
+    ranks: Ids
+    fits: Numbers
+    spreads: Numbers
+    cut: Flags
     indptr: Int64[np.ndarray, " c1"]
     indices: Int32[np.ndarray, " e"]
     data: Float32[np.ndarray, " e"]
     views: OtherIds
 
 
-def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> OfNodes:
+def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> Ids:
     """Return the round of each merge: two for each threshold, the second where one of the first is merged further."""
     steps = np.searchsorted(-np.array(thresholds, np.float32), -forest.agreements)
     (below,) = np.nonzero((forest.parents >= 0) & (forest.sizes > 1))
@@ -191,7 +189,7 @@ def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> OfNodes:
     return (2 * steps + again).astype(np.int32)
 
 
-def _sums(weights: csr_array, nodes: Indices, parents: Int64[np.ndarray, " t"], cut: NodeFlags) -> csr_array:
+def _sums(weights: csr_array, nodes: OtherIndices, parents: Indices, cut: Flags) -> csr_array:
     """Return (C, M) the weights of the rows in each node that is cut. nodes: the lowest of each row, -1 for none."""
     (rows,), count = np.nonzero(nodes >= 0), len(parents)
     own = csr_array((np.ones(len(rows), np.float32), (nodes[rows], rows)), shape=(count, len(nodes)))

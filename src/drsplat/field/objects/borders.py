@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Arrays, Flags, Ids, Indices, MaskIds, OtherIndices, PixelNumbers, Spans
+from ...base.arrays import Arrays, Ids, Indices, MaskIds, OtherIndices, PixelNumbers, Spans
 from ...base.working import Held, Here, Work
 from ...kernels import SplatArrays, heaviest_labels, render_channels, topk_contributions
 from ...scene.gaussians import Gaussians
@@ -128,8 +128,8 @@ def _crossings(
         left, right = shown[:, REACH_PIXELS + 1 : -REACH_PIXELS - 2], shown[:, REACH_PIXELS + 2 : -REACH_PIXELS - 1]
         y, x = np.nonzero((left != right) & (left >= 0) & (right >= 0))
         x = x + REACH_PIXELS + 1
-        clear = _clear(shown, y, x)
-        y, x = y[clear], x[clear]
+        wide = (shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1])  # slivers say nothing
+        y, x = y[wide], x[wide]
         before, after = far[y, x - 2], far[y, x + 3]
         slopes = (before - far[y, x - 5]) / 3, (far[y, x + 6] - after) / 3
         prolonged = np.abs(before + 2.5 * slopes[0] - (after - 2.5 * slopes[1]))
@@ -140,8 +140,3 @@ def _crossings(
         y, x, jump, nearer = y[kept], x[kept], jump[kept], (before < after)[kept]
         one, other = shown[y, x], shown[y, x + 1]
         yield np.where(nearer, one, other), np.where(nearer, other, one), jump
-
-
-def _clear(shown: MaskIds, y: Indices, x: Indices) -> Flags:
-    """Mark places where both pieces are two pixels wide or more: slivers between others say nothing."""
-    return np.asarray((shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1]))

@@ -4,15 +4,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, ByteValues, Float32, Float64, Ids, Indices, Int32, Int64, Integer, RowIds, UInt8
+from ...base.arrays import (
+    ByteValues,
+    Doubles,
+    Flags,
+    Ids,
+    Indices,
+    Numbers,
+    OtherIds,
+    OtherIndices,
+    RowIds,
+    WholeNumbers,
+)
 from ...kernels import Forest
 from ..forest import GROUP, PART, THING, owner_nodes
-
-NodeIds = Int32[np.ndarray, " t"]
-NodeWorth = Float64[np.ndarray, " t"]
-NodeFlags = Bool[np.ndarray, " t"]
-NodeNumbers = Int64[np.ndarray, " t"]
-AnyNodeNumbers = Integer[np.ndarray, " t"]
 
 APART_DISTANCE = 0.4  # of embeddings (1: unrelated) of regions that are never one thing
 MAX_GROUP_SHARE = 0.5  # of all weight: what holds more is the room
@@ -24,10 +29,10 @@ NONE = -1
 class Tree(NamedTuple):
     """The nodes that are kept, as in `Objects`. node_of: of each row. sure: how well masks of the photos fit a node."""
 
-    node_of: Ids
-    parents: NodeIds
-    levels: UInt8[np.ndarray, " t"]
-    sure: Float32[np.ndarray, " t"]
+    node_of: OtherIds
+    parents: Ids
+    levels: ByteValues
+    sure: Numbers
 
 
 def choose(forest: Forest, node_of: RowIds, smallest: int) -> Tree:
@@ -55,7 +60,7 @@ def choose(forest: Forest, node_of: RowIds, smallest: int) -> Tree:
     return _with_rests(_tree_of(forest, node_of, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
 
 
-def _small_things(parents: NodeNumbers, sizes: NodeIds, fits: NodeWorth, things: NodeFlags) -> NodeFlags:
+def _small_things(parents: Indices, sizes: Ids, fits: Doubles, things: Flags) -> Flags:
     """Return the nodes strictly within things that are small on them, and that masks of the photos still fit.
 
     A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
@@ -69,7 +74,7 @@ def _small_things(parents: NodeNumbers, sizes: NodeIds, fits: NodeWorth, things:
     return np.asarray(small & (taken <= sizes / 2)[thing])
 
 
-def _within(parents: NodeIds, nodes: Indices) -> Indices:
+def _within(parents: WholeNumbers, nodes: OtherIndices) -> OtherIndices:
     """Return the forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
     among = np.zeros(len(parents), bool)
     among[nodes] = True
@@ -77,7 +82,7 @@ def _within(parents: NodeIds, nodes: Indices) -> Indices:
     return np.asarray(number[_above(parents, among)[nodes]])
 
 
-def best_nodes(parents: AnyNodeNumbers, worth: NodeWorth) -> NodeFlags:
+def best_nodes(parents: WholeNumbers, worth: Doubles) -> Flags:
     """Return the set of nodes, none above another, of the largest sum of worth; negative worth is never chosen.
 
     Of sets of equal sums it is the one of larger nodes. Linear: children come before their parents.
@@ -91,12 +96,12 @@ def best_nodes(parents: AnyNodeNumbers, worth: NodeWorth) -> NodeFlags:
     return np.asarray(own & (_above(parents, own) < 0))
 
 
-def _above(parents: AnyNodeNumbers, nodes: NodeFlags) -> NodeNumbers:
+def _above(parents: WholeNumbers, nodes: Flags) -> Indices:
     """Return for each node the lowest of `nodes` above it, -1 for none."""
     return np.asarray(np.append(owner_nodes(parents, nodes), NONE)[parents])
 
 
-def pairs_above(parents: AnyNodeNumbers) -> tuple[Indices, Indices]:
+def pairs_above(parents: WholeNumbers) -> tuple[OtherIndices, OtherIndices]:
     """Return all pairs of a node and one that is above it, or itself."""
     below = above = np.arange(len(parents))
     lower, upper = [below], [above]
@@ -108,7 +113,7 @@ def pairs_above(parents: AnyNodeNumbers) -> tuple[Indices, Indices]:
     return np.concatenate(lower), np.concatenate(upper)
 
 
-def _parts(parents: NodeNumbers, worth: NodeWorth, things: NodeFlags) -> NodeFlags:
+def _parts(parents: Indices, worth: Doubles, things: Flags) -> Flags:
     """Return the best nodes strictly within things, where a thing has two or more."""
     thing = _above(parents, things)
     best = best_nodes(parents, np.where(thing >= 0, worth, NONE))
@@ -116,7 +121,7 @@ def _parts(parents: NodeNumbers, worth: NodeWorth, things: NodeFlags) -> NodeFla
     return np.asarray(best & several[thing])
 
 
-def holding(parents: AnyNodeNumbers, nodes: Indices) -> NodeFlags:
+def holding(parents: WholeNumbers, nodes: OtherIndices) -> Flags:
     """Mark nodes that are among some or above one of them; -1 is none."""
     marked = np.zeros(len(parents), bool)
     at = np.unique(nodes)
@@ -127,7 +132,7 @@ def holding(parents: AnyNodeNumbers, nodes: Indices) -> NodeFlags:
     return marked
 
 
-def _several_branches(parents: NodeNumbers, things: NodeFlags) -> NodeFlags:
+def _several_branches(parents: Indices, things: Flags) -> Flags:
     """Return the nodes with things below two or more of their children."""
     holds = things.tolist()
     branches = [0] * len(holds)
@@ -148,7 +153,7 @@ def _tree_of(forest: Forest, node_of: RowIds, nodes: Indices, levels: ByteValues
     return Tree(lowest.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])
 
 
-def _with_rests(tree: Tree, crowded: NodeFlags) -> Tree:
+def _with_rests(tree: Tree, crowded: Flags) -> Tree:
     """Make each crowded node a group; a new thing before it gets the rows that are in none of its things."""
     number = np.append(np.arange(len(crowded)) + np.cumsum(crowded), NONE)  # -1 stays -1
     rest = number - np.append(crowded, False)

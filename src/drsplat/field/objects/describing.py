@@ -25,7 +25,6 @@ from ...base.arrays import (
     Ids,
     Indices,
     Int64,
-    Numbers,
     OtherEmbeddings,
     OtherIds,
     OtherIndices,
@@ -40,12 +39,11 @@ from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
 from ..evidence.aggregation.entries import entry_rows
-from ..evidence.evidence import Evidence
+from ..evidence.evidence import Evidence, csr_of
 from ..evidence.pieces import HeldRows
 from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, by_number, check_forest
 from .choosing import Tree, pairs_above
 
-Entries = Int64[np.ndarray, " e"]
 Starts = Int64[np.ndarray, " T1"]
 
 ROWS_AT_ONCE, NODES_AT_ONCE = 1 << 18, 128  # of nodes that are described
@@ -113,8 +111,8 @@ class Describing:
     def __call__(self, nodes: Indices, threads: int) -> Arrays:
         held = self.scene.arrays
         begins, embeddings, views = held["begins"], held["embeddings"], held["views"]
-        weights = _csr(held["starts"], held["columns"], held["weights"], self.columns)[nodes]
-        inside = _csr(held["inside_starts"], held["inside"], np.ones(len(held["inside"])), len(begins) - 1)[nodes]
+        weights = csr_of(held["starts"], held["columns"], held["weights"], self.columns)[nodes]
+        inside = csr_of(held["inside_starts"], held["inside"], np.ones(len(held["inside"])), len(begins) - 1)[nodes]
         boxes = self._boxes(*_rows(inside, held["order"], begins), threads)
         masks = heaviest(weights, MAX_MASKS_PER_NODE)
         totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
@@ -149,11 +147,9 @@ class Summing:
     def __call__(self, nodes: Indices, threads: int) -> Arrays:
         order, begins = self.scene.arrays["order"], self.scene.arrays["begins"]
         rows = np.concatenate([order[:0], *(order[begins[node] : begins[node + 1]] for node in nodes.tolist())])
-        place = np.empty(len(rows), np.int32)
-        place[np.argsort(rows)] = np.arange(len(rows), dtype=np.int32)  # each node's rows stay in their order
         starts = np.append(0, np.cumsum(np.diff(begins)[nodes])).astype(np.int32)
-        own = _csr(starts, place, np.ones(len(rows), np.float32), len(rows))
-        summed = csr_array(own @ self.weights.rows(np.sort(rows)))
+        own = csr_of(starts, np.arange(len(rows), dtype=np.int32), np.ones(len(rows), np.float32), len(rows))
+        summed = csr_array(own @ self.weights.rows(rows))
         return {"starts": np.diff(summed.indptr), "columns": summed.indices, "weights": summed.data}
 
 
@@ -213,15 +209,11 @@ def _summed(rows: HeldRows, inside: csr_array, by_node: tuple[np.ndarray, np.nda
     summing = Summing(rows, work.hold({"order": order, "begins": begins}))
     parts = [one.arrays for one in work(summing, runs, "adding up objects")]
     lengths, columns, data = (np.concatenate([one[name] for one in parts]) for name in ("starts", "columns", "weights"))
-    own = _csr(np.append(0, np.cumsum(lengths)), columns, data, rows.columns)
+    own = csr_of(np.append(0, np.cumsum(lengths)), columns, data, rows.columns)
     summed = csr_array(inside[:, nodes] @ own.astype(np.float64))
     summed.eliminate_zeros()
     summed.sort_indices()
     return summed
-
-
-def _csr(starts: np.ndarray, columns: np.ndarray, data: np.ndarray, count: int) -> csr_array:
-    return csr_array((data, columns, starts), shape=(len(starts) - 1, count))
 
 
 def _runs(counts: RowIds, most: int, many: int) -> list[np.ndarray]:
@@ -234,7 +226,7 @@ def _runs(counts: RowIds, most: int, many: int) -> list[np.ndarray]:
     return [np.arange(begin, end) for begin, end in pairwise(begins)] or [np.arange(0)]
 
 
-def _rows(inside: csr_array, order: RowIds, begins: Starts) -> tuple[Starts, Entries]:
+def _rows(inside: csr_array, order: RowIds, begins: Starts) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of some nodes and of those below them, in CSR form (starts, rows).
 
     order, begins: all rows in the order of their nodes, and where those of each begin.
@@ -280,7 +272,12 @@ def descriptors(weights: csr_array, embeddings: Embeddings, *, threads: int = 0)
     labels = np.zeros(clusters.weights.nnz, np.int64)
     part = np.arange(len(labels))  # entries of rows that may need more
     for count in range(1, MAX_DESCRIPTORS_PER_NODE):
-        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(axis=1, initial=-1))]
+        cosines = clusters.cosines(labels, part, count).max(axis=1, initial=-1).astype(np.float64)
+        served = np.where(cosines < ALIKE_COSINE, clusters.weights.data[part] * (1 - cosines), 0)
+        rows, most = clusters.rows[part], np.zeros(weights.shape[0])
+        np.maximum.at(most, rows, served)
+        (worst,) = np.nonzero((served > 0) & (served == most[rows]))  # among those that are unlike all centres
+        far = part[worst[np.diff(rows[worst], prepend=-1) > 0]]
         needing = np.zeros(weights.shape[0], bool)
         needing[clusters.rows[far]] = True
         part = part[needing[clusters.rows[part]]]
@@ -305,19 +302,10 @@ class _Clusters:
     threads: int
 
     @cached_property
-    def rows(self) -> Entries:
+    def rows(self) -> OtherIndices:
         return entry_rows(self.weights)
 
-    def worst_served(self, part: Indices, cosines: Numbers) -> OtherIndices:
-        """Return the place of each row's worst served entry of `part`, among those that are unlike all centres."""
-        served = np.where(cosines < ALIKE_COSINE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
-        rows = self.rows[part]
-        most = np.zeros(self.weights.shape[0])
-        np.maximum.at(most, rows, served)
-        (worst,) = np.nonzero((served > 0) & (served == most[rows]))
-        return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
-
-    def means(self, labels: Entries) -> Float32[np.ndarray, "T k D"]:
+    def means(self, labels: OtherIndices) -> Float32[np.ndarray, "T k D"]:
         """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
         clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         order = np.argsort(clusters, kind="stable")
@@ -329,7 +317,7 @@ class _Clusters:
         )
         return means.reshape(-1, MAX_DESCRIPTORS_PER_NODE, means.shape[1])
 
-    def cosines(self, labels: Entries, part: Indices, count: int) -> FloatRows:
+    def cosines(self, labels: OtherIndices, part: Indices, count: int) -> FloatRows:
         """Return the cosines of the entries of `part` with the first `count` centres of their rows, -1 with empty ones.
 
         BLAS is avoided: its bits depend on the number of its threads.
@@ -345,7 +333,7 @@ class _Clusters:
                 cosines[begin : begin + ENTRIES_AT_ONCE, k] = np.where(filled[rows, k], row_cosines, -1)
         return cosines
 
-    def centers(self, labels: Entries) -> tuple[Starts, Embeddings]:
+    def centers(self, labels: OtherIndices) -> tuple[Starts, Embeddings]:
         """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
         means = self.means(labels)
         shape = means.shape[:2]
@@ -364,4 +352,4 @@ def heaviest(matrix: csr_array, most: int) -> csr_array:
     order = np.lexsort((matrix.indices, -matrix.data, rows))
     kept = order[np.arange(len(order)) - matrix.indptr[rows] < most]
     starts = np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
-    return csr_array((matrix.data[kept], matrix.indices[kept], starts), shape=matrix.shape)
+    return csr_of(starts, matrix.indices[kept], matrix.data[kept], matrix.shape[1])

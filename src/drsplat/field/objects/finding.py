@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from ...base.arrays import Arrays, Flags, Float32, Ids, UnsignedIds, Vectors
+from ...base.arrays import Arrays, Flags, Float32, UnsignedIds, Vectors
 from ...base.contents import release
 from ...base.working import HERE, Held, Here, Work
 from ...errors import InputError
@@ -25,7 +24,8 @@ from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from .. import LanguageField
-from ..evidence.aggregation.entries import column_counts, row_chunks
+from ..evidence.aggregation.entries import canonical, column_counts, row_chunks
+from ..evidence.aggregation.voting import view_sums
 from ..evidence.columns import Scenery
 from ..evidence.evidence import Evidence
 from ..evidence.pieces import HeldRows
@@ -211,10 +211,11 @@ def views_beyond(evidence: Evidence, most: int) -> Flags:
 def grow(evidence: Evidence, means: Vectors, *, threads: int = 0) -> Forest:
     """Grow the forest of merges over the rows of the evidence. means: the Gaussians' centres."""
     order = along_a_curve(means)
-    weights, views, embeddings = _by_view(evidence)
-    embeddings, unit = _fewer_directions(embeddings)
+    evidence = canonical(evidence)
+    weights, views = evidence.weights, evidence.masks.views
+    embeddings, unit = _fewer_directions(evidence.embeddings)
     total = float(weights.data.sum(dtype=np.float64))
-    rule = _rule(total, _sights(weights, views), len(np.unique(views)), unit)
+    rule = _rule(total, len(view_sums(evidence).rows), len(np.unique(views)), unit)
     edges = neighbours(means[order], threads)
     forest = agglomerate(weights, views, embeddings, edges, MERGE_THRESHOLDS, rule, order=order, threads=threads)
     places = np.arange(len(forest.parents))
@@ -226,27 +227,6 @@ def _rule(total: float, sights: int, views: int, unit: float) -> MergeRule:
     """Return the rule of a scene. total: weight of all rows; sights: views that see a row, of all rows together."""
     soft, far = SOFT_SIGHT_SHARE * total / max(sights, 1), FAR_PHOTO_SHARE * total / max(views, 1)
     return MergeRule(max(soft, 1e-6), max(far, 1e-6), unit=unit, smallest=MIN_GAUSSIANS)
-
-
-def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
-    """Return its weights, views and embeddings with the masks in the order of their views."""
-    weights, views, embeddings = evidence.weights, evidence.masks.views, evidence.embeddings
-    if (np.diff(views) < 0).any():
-        order = np.argsort(views, kind="stable")
-        weights, views, embeddings = csr_array(weights[:, order]), views[order], embeddings[order]
-    if not weights.has_canonical_format:
-        weights = weights.copy()
-        weights.sum_duplicates()
-    return weights, views, embeddings
-
-
-def _sights(weights: csr_array, views: Ids) -> int:
-    """Count in how many views a row has weight, of all rows together."""
-    seen = views[weights.indices]
-    first = np.ones(len(seen), bool)
-    first[1:] = seen[1:] != seen[:-1]
-    first[weights.indptr[:-1][np.diff(weights.indptr) > 0]] = True
-    return int(np.count_nonzero(first))
 
 
 def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[np.ndarray, "m k"], float]:

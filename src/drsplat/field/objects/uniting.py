@@ -28,6 +28,7 @@ from ...base.arrays import (
 from ...base.working import HERE, Held, Work
 from ...kernels import Forest
 from ..evidence.aggregation.entries import entry_rows
+from ..evidence.evidence import csr_of
 from ..forest import with_those_below
 from .block_nodes import Block, BlockNodes
 from .choosing import NONE
@@ -79,9 +80,9 @@ def united(held: Sequence[Held], blocks: Sequence[Block], masses: Masses, work: 
         own = part.inside & (part.lowest >= 0)
         node_of[part.rows[own]] = number[part.lowest[own] + base]
     held_rows = node_of >= 0
-    own = node_of[held_rows]
-    sizes = with_those_below(parents, np.bincount(own, minlength=len(parents)))
-    weights = with_those_below(parents, np.bincount(own, masses.rows[held_rows], len(parents)))
+    nodes = node_of[held_rows]
+    sizes = with_those_below(parents, np.bincount(nodes, minlength=len(parents)))
+    weights = with_those_below(parents, np.bincount(nodes, masses.rows[held_rows], len(parents)))
     fits, spreads = _judged(parts, members, sizes, masses)
     none = np.zeros(len(parents), np.float32)
     forest = Forest(parents, none, sizes.astype(np.int32), weights.astype(np.float32), fits, spreads)
@@ -191,8 +192,10 @@ def _judged(
     """Return fits and spreads of all classes. members: pairs (class, node); sizes: rows of each class."""
     of, nodes = members
     cut, fits, spreads = (_together(parts, name) for name in ("cut", "fits", "spreads"))
-    sums = (with_those_below(p.parents, np.bincount(p.lowest[p.lowest >= 0], minlength=len(p.parents))) for p in parts)
-    rows = np.concatenate([*sums])[nodes]
+    counts = (
+        with_those_below(p.parents, np.bincount(p.lowest[p.lowest >= 0], minlength=len(p.parents))) for p in parts
+    )
+    rows = np.concatenate([*counts])[nodes]
     judged, spread = np.zeros(len(sizes), np.float32), np.zeros(len(sizes), np.float32)
     np.maximum.at(spread, of, spreads[nodes])
     order = np.lexsort((-nodes, rows, ~cut[nodes]))  # the last one of a class is the largest that is whole, if any is
@@ -205,8 +208,8 @@ def _judged(
     place = number[of[pieces]], (np.cumsum(cut) - 1)[nodes[pieces]]
     pick = csr_array((np.ones(len(place[0]), np.float32), place), shape=(int(partly.sum()), int(cut.sum())))
     starts = np.concatenate([[0], *(np.diff(part.indptr) for part in parts)])
-    arrays = _together(parts, "data"), _together(parts, "indices"), np.cumsum(starts)
-    found = fits_of(csr_array(pick @ csr_array(arrays, shape=(len(starts) - 1, len(masses.masks)))), masses)
+    sums = csr_of(np.cumsum(starts), _together(parts, "indices"), _together(parts, "data"), len(masses.masks))
+    found = fits_of(csr_array(pick @ sums), masses)
     some = np.bincount(place[0], minlength=len(found)) > 0
     judged[np.flatnonzero(partly)[some]] = found[some]
     return judged, spread

@@ -6,7 +6,7 @@ docs/grouping.md.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from math import fsum
 from typing import NamedTuple
 
@@ -61,7 +61,10 @@ def with_voted(tree: Tree, votes: Votes) -> Tree:
     if not sets:
         return tree
     alone = [(thing,) for thing in range(len(things))]
-    both = worth_of(_membership([*alone, *sets], len(things)), tree, things, votes)
+    members = [*alone, *sets]
+    rows = np.repeat(np.arange(len(members)), [len(one) for one in members])
+    entries = np.ones(len(rows), np.float32), (rows, np.concatenate(members))
+    both = worth_of(csr_array(entries, shape=(len(members), len(things))), tree, things, votes)
     pieces, found = (Worth(*(values[part] for values in both)) for part in (np.s_[: len(alone)], np.s_[len(alone) :]))
     return with_joined(tree, _chosen(sets, found, pieces, seen.sum(0)))
 
@@ -119,11 +122,6 @@ def _proposals(own: csr_array, seen: Doubles, sees: Flags, vote: Vote) -> Iterat
     good = (both > MIN_FIT * either) & (within.sum(0) > 1) & (vote.tree.bounds.framed <= MAX_FRAMED)
     for column in np.flatnonzero(good):
         yield tuple(np.flatnonzero(within[:, column]).tolist())
-
-
-def _membership(sets: Sequence[Set], count: int) -> csr_array:
-    rows = np.repeat(np.arange(len(sets)), [len(one) for one in sets])
-    return csr_array((np.ones(len(rows), np.float32), (rows, np.concatenate(sets))), shape=(len(sets), count))
 
 
 def _chosen(sets: list[Set], found: Worth, pieces: Worth, weight: Doubles) -> list[Joined]:

@@ -41,7 +41,7 @@ from ..evidence.aggregation.voting import (
     nearest_first,
     reliability,
 )
-from ..evidence.evidence import Evidence, MaskIds
+from ..evidence.evidence import Evidence, MaskIds, csr_of
 from .seeing import Gallery
 from .store import Store
 from .transposing import Run
@@ -64,8 +64,7 @@ class RowFiles:
 
     def weights(self, run: Run) -> csr_array:
         arrays = self.arrays(run)
-        shape = (len(arrays["indptr"]) - 1, len(self.masks))
-        return csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
+        return csr_of(arrays["indptr"], arrays["indices"], arrays["data"], len(self.masks))
 
     def embeddings(self) -> Embeddings:
         return np.asarray(np.load(self.store.bring(EMBEDDINGS_FILE), mmap_mode="r"))
@@ -77,8 +76,7 @@ class RowFiles:
         """Return the evidence of the rows that have any weight."""
         w = self.weights(run)
         starts = w.indptr[np.append(True, np.diff(w.indptr) > 0)]
-        weights = csr_array((w.data, w.indices, starts), shape=(len(starts) - 1, w.shape[1]))
-        return Evidence(weights, self.masks, self.embeddings())
+        return Evidence(csr_of(starts, w.indices, w.data, len(self.masks)), self.masks, self.embeddings())
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +204,7 @@ class Voting:
             indices.append(part.indices.astype(np.int32))
             data.append(part.data)
         starts = np.append(0, np.cumsum(np.concatenate(lengths)))
-        shape = (len(wanted), len(self.rows.masks))
-        return csr_array(csr_array((np.concatenate(data), np.concatenate(indices), starts), shape=shape)[at])
+        return csr_array(csr_of(starts, np.concatenate(indices), np.concatenate(data), len(self.rows.masks))[at])
 
     def _by_run(self, numbers: OtherIndices) -> Iterator[tuple[Run, Indices]]:
         at = np.searchsorted([run.first for run in self.runs], numbers, side="right") - 1

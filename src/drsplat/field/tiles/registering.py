@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from ...base.arrays import Arrays, Embeddings, Flags, Ids, Indices, UnsignedIds
 from ...base.contents import pieces
@@ -39,7 +38,7 @@ from ..evidence.aggregation import Aggregated, Aggregator, Sampling
 from ..evidence.aggregation.outliers import OutlierRejection
 from ..evidence.aggregation.trust import MaskTrust, Tally
 from ..evidence.columns import ColumnMaker, part_name
-from ..evidence.evidence import Evidence
+from ..evidence.evidence import Evidence, csr_of
 from ..registration import (
     Registration,
     check_one_size,
@@ -290,10 +289,9 @@ class TileCoder(RowCoder):
             return super().of_columns(features, kept)
         parts = list(map(self._made(OfColumns(features.files, kept), untracked).arrays, self.runs))
         starts = np.append(0, np.cumsum(np.concatenate([np.diff(part["indptr"]) for part in parts])))
-        arrays = (np.concatenate([part[name] for part in parts]) for name in ("data", "indices"))
-        kind = np.int32 if starts[-1] < 1 << 31 else np.int64
-        matrix = csr_array((*arrays, starts.astype(kind)), shape=(len(starts) - 1, len(kept)))
-        return Aggregated(replace(self.evidence, weights=matrix), None, features.record)
+        indices, data = (np.concatenate([part[name] for part in parts]) for name in ("indices", "data"))
+        weights = csr_of(starts, indices, data, len(kept))
+        return Aggregated(replace(self.evidence, weights=weights), None, features.record)
 
     def work(self, threads: int, track: Track) -> ByTasks:
         """See RowCoder. `threads` are those of this process."""

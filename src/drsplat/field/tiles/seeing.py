@@ -99,7 +99,10 @@ class Gallery:
 
     def shapes(self, tile: Tile) -> Gaussians:
         """Return a tile without its colours, read anew. Raises: FormatError: it is damaged or missing."""
-        return self._here(tile).shapes(tile)
+        if self.store is None:
+            return self.tiles.shapes(tile)
+        here = self.store.bring(_stored(self.tiles, tile))
+        return replace(self.tiles, path=here.parent).shapes(tile)
 
     def _splats(self, tile: Tile) -> SplatArrays:
         if tile.name not in self._held:
@@ -108,12 +111,6 @@ class Gallery:
         while len(self._held) > 1 and self._bytes() > self.held_bytes:
             self._held.popitem(last=False)
         return self._held[tile.name]
-
-    def _here(self, tile: Tile) -> Tiles:
-        """Return the tiles in the folder to which this one was brought."""
-        if self.store is None:
-            return self.tiles
-        return replace(self.tiles, path=self.store.bring(_stored(self.tiles, tile)).parent)
 
     def _bytes(self) -> int:
         return sum(array.nbytes for part in self._held.values() for array in part[:3])

@@ -18,6 +18,7 @@ from ...formats.tensors import map_tensors
 from ...formats.tiles import Tile
 from ...kernels import Triples
 from ..evidence.columns import stacked
+from ..evidence.evidence import csr_of
 from .store import Store, make_once
 
 ROWS_FOLDER = "rows"  # as they are registered
@@ -108,8 +109,7 @@ def joined_rows(held: Sequence[Held], folder: Path, num_masks: int) -> csr_array
     shape = (int(starts[-1]),)
     indices = filed(folder / "indices.npy", np.int32, shape, (part.arrays["indices"] for part in held))
     data = filed(folder / "data.npy", np.float32, shape, (part.arrays["data"] for part in held))
-    starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
-    return csr_array((data, indices, starts), shape=(len(starts) - 1, num_masks))
+    return csr_of(starts, indices, data, num_masks)
 
 
 def filed(path: Path, kind: type, shape: tuple[int, ...], parts: Iterable[np.ndarray]) -> np.ndarray:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...base.system import folder_bytes, peak_memory_bytes
+from ...base.terminal import counted
 from ...errors import InputError
 from .declaring import Facts, argument, declaration, finite, flag, option, part, words
 from .options import Photos, Verb, capture, features, invert_masks
 from .query_options import FIELD_HELP
+from .tables import show_facts, size_text, text_of
 
 if TYPE_CHECKING:
     from ...field.growing import Change
@@ -27,26 +31,22 @@ class FieldToChange:
     field: str = argument(FIELD_HELP)
     scene: str | None = option("scene that was registered (default: the one beside the field in its folder)")
 
+    def read(self) -> tuple[Path, Gaussians | Moving]:
+        """Return the field's folder and its Gaussians.
 
-def field_and_scene(given: FieldToChange) -> tuple[Path, Gaussians | Moving]:
-    """Return the field's folder and its Gaussians.
+        Raises: InputError: no such field, or no scene is given or beside it; as `read_scene`.
+        """
+        from ...formats.moving_scenes import read_scene
+        from ...query.opening import registered_scene, scene_files
 
-    Raises: InputError: no such field, or no scene is given or beside it; as `read_scene`.
-    """
-    from ...formats.moving_scenes import read_scene
-    from ...query.opening import registered_scene, scene_files
-
-    files = scene_files(given.field, given.scene)
-    if not files.scenes:
-        raise InputError("scene: expected the Gaussians that were registered: pass scene=SCENE")
-    if given.scene is not None:
-        return files.field, read_scene(files.scenes[0])
-    return files.field, registered_scene(files)[1]
+        files = scene_files(self.field, self.scene)
+        if not files.scenes:
+            raise InputError("scene: expected the Gaussians that were registered: pass scene=SCENE")
+        return files.field, registered_scene(files)[1] if self.scene is None else read_scene(files.scenes[0])
 
 
 def answer_of(change: Change, path: Path) -> Facts:
     """Return what has changed, and the new totals."""
-    from ...base.system import folder_bytes, peak_memory_bytes
     from ...field.labels import LabelFile, matched
 
     field = change.field
@@ -54,15 +54,15 @@ def answer_of(change: Change, path: Path) -> Facts:
     assert evidence is not None
     orphans = matched(LabelFile.beside(path).read(), field).orphans if field.objects is not None else ()
     return {
-        "field": str(path),
-        "added": list(change.added),
-        "replaced": list(change.replaced),
-        "removed": list(change.removed),
-        "left_out": list(change.left_out),
+        "field": path,
+        "added": change.added,
+        "replaced": change.replaced,
+        "removed": change.removed,
+        "left_out": change.left_out,
         "num_views_unchanged": len(change.unchanged),
         "num_views": len(evidence.masks.view_names),
         "num_masks": len(evidence.masks),
-        "num_weights": int(evidence.weights.nnz),
+        "num_weights": evidence.weights.nnz,
         "num_gaussians": field.num_gaussians,
         "num_registered": len(field),
         "num_touched": change.num_touched,
@@ -70,17 +70,18 @@ def answer_of(change: Change, path: Path) -> Facts:
         "num_objects": None if field.objects is None else len(field.objects),
         "labels_of_none": [label.name for label in orphans],
         "seconds": sum(change.seconds.values()),
-        "stage_seconds": dict(change.seconds),
+        "stage_seconds": change.seconds,
         "field_bytes": folder_bytes(path),
         "peak_memory_bytes": peak_memory_bytes(),
     }
 
 
 def show_change(answer: Facts, title: str) -> None:
-    from .tables import show_facts, size_text, text_of
+    from ...formats.photo_files import listed
 
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
-    facts = {name: _listed(answer[name]) for name in ("added", "replaced", "removed", "left_out") if answer[name]}
+    changes = {name: answer[name] for name in ("added", "replaced", "removed", "left_out") if answer[name]}
+    facts: Facts = {name: f"{counted(len(names), 'view')}: {listed(names)}" for name, names in changes.items()}
     if facts.keys() - {"left_out"}:
         facts["Gaussians seen by them"] = (
             f"{text_of(answer['num_touched'])}; {text_of(answer['num_coded'])} coded again"
@@ -97,13 +98,6 @@ def show_change(answer: Facts, title: str) -> None:
     show_facts(title, facts)
     for name in answer["labels_of_none"]:
         print(f"the label '{name}' names nothing in this field; it is kept")
-
-
-def _listed(names: list[str]) -> str:
-    from ...base.terminal import counted
-    from ...formats.photo_files import listed
-
-    return f"{counted(len(names), 'view')}: {listed(names)}"
 
 
 EXAMPLES = """\
@@ -142,11 +136,19 @@ class Options(Verb):
     photos: Photos = part(Photos)
     invert_masks: bool = invert_masks()
 
-    def posed(self) -> Sequence[View]:
-        return self.photos.views(self.capture, self.invert_masks)
+    def inputs(self, field: Path) -> tuple[Sequence[View], FeatureFolder]:
+        """Return the views, and their features of the level and by the encoder that the field says."""
+        from ... import load_field, read_features
+
+        known = load_field(field)
+        level = known.growth.provenance.level if known.growth else None
+        views = self.photos.views(self.capture, self.invert_masks)
+        return views, read_features(self.features, level=level or "large", encoder=known.encoder)
 
 
 def run(options: Options) -> Facts:
+    from ...field.growing.naming import views_named
+    from ...field.registration import with_features
 
     if options.watch and options.replace:
         raise InputError("--watch adds views and compares none: drop --replace, and give it afterwards")
@@ -154,11 +156,14 @@ def run(options: Options) -> Facts:
         raise InputError("--watch waits for views that nobody knows yet: drop --views, or --watch")
     if options.idle is not None and not options.watch:
         raise InputError("--idle is for --watch: pass both, or none")
-    path, scene = field_and_scene(options.of)
+    path, scene = options.of.read()
     if options.watch:
         return _watched(options, path, scene)
-    views, features = options.posed(), _features(options, path)
-    return answer_of(_added(options, path, scene, _views_to_add(options, views, features), features), path)
+    views, features = options.inputs(path)
+    if options.views:
+        names = set(views_named(options.views, [view.name for view, _ in with_features(views, features)]))
+        views = [view for view in views if view.name in names]
+    return answer_of(_added(options, path, scene, views, features), path)
 
 
 def show(answer: Facts) -> None:
@@ -171,26 +176,6 @@ def show(answer: Facts) -> None:
         print("Views that were removed or kept out stay out; --views NAME... brings them back.")
 
 
-def _views_to_add(options: Options, views: Sequence[View], features: FeatureFolder) -> Sequence[View]:
-    """Return all views, or those that --views names. Raises: InputError: it names none that has features."""
-    from ...field.growing.naming import views_named
-    from ...field.registration import with_features
-
-    if not options.views:
-        return views
-    names = set(views_named(options.views, [view.name for view, _ in with_features(views, features)]))
-    return [view for view in views if view.name in names]
-
-
-def _features(options: Options, path: Path) -> FeatureFolder:
-    """Return the features of the level and by the encoder that the field says."""
-    from ... import load_field, read_features
-
-    field = load_field(path)
-    level = field.growth.provenance.level if field.growth else None
-    return read_features(options.features, level=level or "large", encoder=field.encoder)
-
-
 def _added(
     options: Options, path: Path, scene: Gaussians | Moving, views: Sequence[View], features: FeatureFolder
 ) -> Change:
@@ -199,7 +184,7 @@ def _added(
     back = [view.name for view in views] if options.views else ()
     return grow_field(
         path, scene, views, features, Path(options.features), renew=options.replace, back=back,
-        threads=options.threads, track=options.track,
+        **options.running,
     )  # fmt: skip
 
 
@@ -209,28 +194,23 @@ def _watched(options: Options, path: Path, scene: Gaussians | Moving) -> Facts:
     from ...field.growing.changing import kept_out
     from ...field.growing.watching import Watch, together
 
+    def say(line: str) -> None:
+        if not options.json:
+            print(line, file=sys.stderr, flush=True)
+
     field = load_field(path)
     known = {*(field.evidence.masks.view_names if field.evidence else ()), *kept_out(field)}
-    watch = Watch(lambda: (options.posed(), _features(options, path)), known, options.idle)
+    watch = Watch(partial(options.inputs, path), known, options.idle)
     done: list[Change] = []
     try:
         for views, features in watch.batches():
             change = _added(options, path, scene, views, features)
             watch.known |= {view.name for view in views}
             done.append(change)
-            _print_change(options, change)
+            if not change.is_empty:
+                number = len(change.field.evidence.masks.view_names) if change.field.evidence else 0
+                seconds = sum(change.seconds.values())
+                say(f"+{len(change.added)}: {number} views, {change.num_touched:,} Gaussians seen, {seconds:.1f} s")
     except KeyboardInterrupt:
-        _say(options, "stopped; what had come is added")
+        say("stopped; what had come is added")
     return answer_of(together(done, path), path)
-
-
-def _print_change(options: Options, change: Change) -> None:
-    if not change.is_empty:
-        views = len(change.field.evidence.masks.view_names) if change.field.evidence else 0
-        seconds = sum(change.seconds.values())
-        _say(options, f"+{len(change.added)}: {views} views, {change.num_touched:,} Gaussians seen, {seconds:.1f} s")
-
-
-def _say(options: Options, line: str) -> None:
-    if not options.json:
-        print(line, file=sys.stderr, flush=True)

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from ...base.terminal import counted
 from ...errors import InputError
 from ...query.schema import Place, fields
 from .declaring import Facts, argument, declaration, option, part, up_to, words
 from .edit_options import note_own_scenes
-from .options import Encoders, Verb, new_output, overwrite
-from .query_options import asked, numbers, query_of
-from .tables import show_table, text_of
+from .options import Encoders, Verb, overwrite
+from .query_options import asked, check_outputs, numbers, query_of
+from .tables import place_text, show_table, text_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from datetime import datetime
 
     from ...query.catalogue import Catalogue
-    from ...query.catalogue.entries import Corners, Degrees
     from .query_options import Asked
 
 EXAMPLES = """\
@@ -75,6 +74,7 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...query.catalogue import Catalogue
+    from ...scene.encoders import identity_text
 
     _check(options)
     catalogue = Catalogue.open(options.catalogue, **vars(options.encoders), threads=options.threads)
@@ -85,7 +85,12 @@ def run(options: Options) -> Facts:
             removed = {name: catalogue.remove(name) for name in options.given}
             done = {"removed": removed, "num_objects": len(catalogue)}
         case "list":
-            done = _list(catalogue)
+            scenes = catalogue.scenes()
+            done = {
+                "encoder": identity_text(catalogue.encoder),
+                "num_objects": sum(one.num_objects for one in scenes),
+                "scenes": _scenes_json(scenes),
+            }
         case "ask":
             done = _ask(options, catalogue)
         case _:
@@ -102,10 +107,7 @@ def _check(options: Options) -> None:
         raise InputError(f"catalogue {options.action} takes no more than the catalogue")
     if options.action == "add" and options.name and len(options.given) > 1:
         raise InputError("one name is for one scene: add them one by one, or leave name=NAME out")
-    if options.picture and not options.picture.lower().endswith((".jpg", ".jpeg", ".png")):
-        raise InputError(f"{options.picture}: pictures are written as .png or .jpg")
-    if options.picture and not new_output(options.picture, options.overwrite).parent.is_dir():
-        raise InputError(f"--picture: there is no folder for {options.picture}: make it first")
+    check_outputs(None, options.picture, options.overwrite)
 
 
 def _add(options: Options, catalogue: Catalogue) -> Facts:
@@ -119,17 +121,6 @@ def _add(options: Options, catalogue: Catalogue) -> Facts:
     return {"scenes": _scenes_json(listed), "num_objects": len(catalogue), "wants_index": catalogue.wants_index}
 
 
-def _list(catalogue: Catalogue) -> Facts:
-    from ...scene.encoders import identity_text
-
-    scenes = catalogue.scenes()
-    return {
-        "encoder": identity_text(catalogue.encoder),
-        "num_objects": sum(one.num_objects for one in scenes),
-        "scenes": _scenes_json(scenes),
-    }
-
-
 def _ask(options: Options, catalogue: Catalogue) -> Facts:
     from ...drawing.pictures import write_picture
     from ...query.catalogue import Conditions
@@ -137,8 +128,8 @@ def _ask(options: Options, catalogue: Catalogue) -> Facts:
 
     text = " ".join(options.given) or None
     said = text or options.others["image"] or options.others["vector"]
-    box = None if options.box is None else cast("Corners", tuple(numbers("--box", options.box, 6)))
-    area = None if options.area is None else cast("Degrees", tuple(numbers("--area", options.area, 4)))
+    box = None if options.box is None else numbers("--box", 6, options.box)
+    area = None if options.area is None else numbers("--area", 4, options.area)
     where = Conditions(tuple(options.scene), box, area, _moment(options.since))
     answer = catalogue.answer(query_of({**options.others, "text": text}), where, top=options.top)
     drawn = options.picture if answer.entries else None
@@ -201,7 +192,7 @@ def _show_matches(answer: Facts) -> None:
     how = f"{answer['measure']}, threshold {answer['threshold']:.4g}; {compared} compared"
     rows = []
     for one in answer["matches"]:
-        places = (" ".join(f"{x:.2f}" for x in one[key]) for key in ("center", "extent"))
+        places = map(place_text, (one["center"], one["extent"]))
         name, photo = one["label"] or one["name"] or "", one["photo"] or ""
         rows.append((one["scene"], str(one["object_id"]), name, f"{one['score']:.3f}", *places, photo))
     show_table(

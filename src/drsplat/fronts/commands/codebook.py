@@ -6,10 +6,13 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...base.progress import Stopwatch
+from ...base.terminal import counted
 from ...errors import FormatError, InputError
 from .declaring import Facts, argument, count, count_or_all, declaration, option, whole, words
 from .embed import DEFAULT_ENCODER, ENCODER_HELP, image_encoder, models_device
 from .options import COMPLETE, Verb, new_or_complete, overwrite, parts_of, was_complete
+from .tables import show_facts, size_text, text_of
 
 if TYPE_CHECKING:
     from ...base.arrays import Array
@@ -62,7 +65,6 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...base.progress import Stopwatch
     from ...field.codes import load_codebook, save_codebook
 
     output = new_or_complete(options.output, options.overwrite, ".safetensors")
@@ -95,9 +97,6 @@ def run(options: Options) -> Facts:
 
 
 def show(answer: Facts) -> None:
-    from ...base.terminal import counted
-    from .tables import show_facts, size_text, text_of
-
     held_out = answer["num_held_out"]
     facts = {
         "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
@@ -159,7 +158,7 @@ def _trained(rows: Array, encoder: EncoderIdentity, options: Options) -> tuple[C
     drawn = unit_rows(rows, np.sort(order[share:][:MAX_TRAINING_POINTS]), path)
     codebook = train_codebook(
         drawn, options.subvectors, encoder=encoder, seed=options.seed,
-        threads=options.threads, track=options.track,
+        **options.running,
     )  # fmt: skip
     codes = codebook.encode(held_out, threads=options.threads)
     cosines = (held_out * codebook.decode(codes)).sum(1) * codebook.inverse_norms(codes)

@@ -3,8 +3,11 @@
 from pathlib import Path
 from typing import Any
 
+from ...base.progress import Stopwatch
+from ...base.terminal import counted
 from .declaring import Facts, declaration, option
 from .options import Verb, overwrite
+from .tables import place_text, show_table, size_text, text_of
 
 EXAMPLES = """\
   drsplat demo
@@ -33,7 +36,6 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...base.progress import Stopwatch
     from ...evaluation.demo.story import FIELD, SCENE, resumable, tell, write_album
     from ...query import Scene
     from ..viewing.exporting import export_page
@@ -41,7 +43,7 @@ def run(options: Options) -> Facts:
     folder, threads = Path(options.output_dir), options.threads
     watch, page = Stopwatch(), folder / PAGE
     with resumable(folder, options.overwrite):
-        story = tell(folder, overwrite=True, anew=options.overwrite, threads=threads, track=options.track)
+        story = tell(folder, overwrite=True, anew=options.overwrite, **options.running)
         watch.lap("story")
         pictures = write_album(folder, story, overwrite=True)
         watch.lap("pictures")
@@ -78,8 +80,6 @@ def interrupted(options: Options) -> str:
 def show(answer: Facts) -> None:
     from rich.console import Console
 
-    from .tables import show_table, size_text, text_of
-
     photos, masks = answer["num_photos"], answer["num_masks"]
     sizes = f"{text_of(answer['num_gaussians'])} Gaussians, {photos} photos, {text_of(masks)} masks"
     title = f"{sizes}; lengths in scene units, here metres"
@@ -99,12 +99,10 @@ def show(answer: Facts) -> None:
 
 
 def _row(query: Facts) -> tuple[str, ...]:
-    from ...base.terminal import counted
-
     matches = counted(query["num_matches"], "match", "matches")
     matches += "" if query["count"] == query["num_matches"] else f", {query['count']} sure"
     iou = "" if query["iou"] is None else f"{query['iou']:.2f}"
-    center = "" if query["center"] is None else " ".join(f"{x:.2f}" for x in query["center"])
+    center = "" if query["center"] is None else place_text(query["center"])
     return (
         query["text"], "right" if query["is_right"] else "MISS", matches, iou,
         f"{query['num_selected']:,}", center, f"{1000 * query['seconds']:.0f}",

@@ -1,7 +1,5 @@
 """drsplat doctor: what is installed, what can run here, what is missing."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform
@@ -14,6 +12,7 @@ from importlib.util import find_spec
 from ...errors import pip_install
 from .declaring import Facts, declaration
 from .options import Verb
+from .tables import show_facts, show_table
 
 EXAMPLES = """\
   drsplat doctor
@@ -85,8 +84,6 @@ def run(_: Options) -> Facts:
 
 
 def show(answer: Facts) -> None:
-    from .tables import show_facts, show_table
-
     native, devices = answer["native"], answer["devices"]
     show_facts(
         f"drsplat {answer['drsplat']}",

@@ -9,12 +9,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...base.terminal import counted
 from ...errors import FormatError, InputError
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
 from .declaring import Facts, argument, declaration, option, part, words
 from .edit_options import Changes, Listed, Targets, kept_edits, note_applied, note_left_out, only_one
 from .options import Encoders, Photos, Verb, overwrite
 from .query_options import asked, check_outputs, open_with, query_of, query_text
+from .tables import show_table
 
 if TYPE_CHECKING:
     from ...authoring.editing import EditFile, EditList
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from ...authoring.editing.edits import Change, KeptEdits
     from ...authoring.editing.targets import Target
     from ...base.arrays import Array
+    from ...formats.annotations import AnnotationFile
     from ...query import Scene
     from ...scene.gaussians import Gaussians
     from ...scene.labelled import Annotation
@@ -80,37 +83,30 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ... import write_gaussians
     from ...authoring.editing import EditList
     from ...authoring.editing.edits import without_kept
-    from ...formats.annotations import AnnotationFile
     from ...formats.replacing import together
 
-    check_outputs(options.save, options.picture, options.overwrite)
     work, changes, wanted = _work(options), options.change.changes, options.listed
-    notes, after, view = AnnotationFile.beside(work.path), None, None
+    saved = options.save or options.picture
     alone = without_kept(options.edits, changes=bool(changes), saves=bool(options.save))
     writes = wanted.undo or wanted.redo or wanted.annotate or wanted.drop_annotation or (changes and not alone)
     with ExitStack() as held, together():
-        for file in (work.file, notes) if writes else ():
+        for file in (work.file, work.notes) if writes else ():
             held.enter_context(file.held())  # against other processes
-        kept, noted = work.file.read(work.gaussians), notes.read()
+        kept, noted = work.file.read(work.gaussians), work.notes.read()
         first = EditList(kept.scene) if alone else kept
         edits = work.changed(first)
         annotations = work.annotated(noted, kept if alone else edits)
-        if options.save or options.picture or changes or wanted.redo:
-            after = work.file.edited(work.gaussians, edits)
+        after = work.file.edited(work.gaussians, edits) if saved or changes or wanted.redo else None
         if edits is not first and not alone:
             work.file.write(edits)
         if annotations is not noted:
-            notes.write(annotations)
-        if options.save and after is not None:
-            write_gaussians(options.save, after, overwrite=options.overwrite, is_edited=True)
-        if options.picture and after is not None:
-            view = work.draw(options.picture, edits, after)
+            work.notes.write(annotations)
+        view = None if after is None else work.write(edits, after)
     if alone:
         note_left_out(kept.done)
-    elif options.save or options.picture:
+    elif saved:
         note_applied(kept.done if changes else edits.done)
     return {
         "scene": work.path,
@@ -129,9 +125,6 @@ def run(options: Options) -> Facts:
 
 
 def show(answer: Facts) -> None:
-    from ...base.terminal import counted
-    from .tables import show_table
-
     edits, scene = counted(answer["num_edits"], "edit"), answer["scene"]
     title = f"{edits} kept beside {scene}, {answer['num_undone']} undone" if answer["kept"] else f"{edits} of this call"
     rows = [(str(one["number"]), one["do"], one["of"], "" if one["done"] else "undone") for one in answer["edits"]]
@@ -162,17 +155,22 @@ def _edits_json(listed: EditList) -> list[Facts]:
 
 def _annotation_json(one: Annotation) -> Facts:
     box = {} if one.outline is None else {"extent": one.outline.extent, "axes": one.outline.axes}
-    return {"text": one.text, "center": one.center} | box
+    return {"text": one.text, "center": one.center, **box}
 
 
 def _work(options: Options) -> _Work:
-    """Open the scene that is meant; each Gaussian has the number of its object, where the field knows objects."""
+    """Open the scene that is meant; each Gaussian has the number of its object, where the field knows objects.
+
+    Raises: InputError: as `check_outputs`.
+    """
     from ...authoring.editing import EditFile
     from ...authoring.editing.draft import OBJECT_ID
+    from ...formats.annotations import AnnotationFile
     from ...formats.moving_scenes import read_scene
     from ...query.opening import find_scene, registered_scene
     from ...scene.moving import still
 
+    check_outputs(options.save, options.picture, options.overwrite)
     path, field, scene = Path(options.scene), options.field, None
     if field is None and path.is_dir() and any(path.glob("*.field")):
         field = options.scene
@@ -184,22 +182,25 @@ def _work(options: Options) -> _Work:
         opened = open_with(options, field, scene)
         if opened.field.objects is not None:
             gaussians = replace(gaussians, extra={**gaussians.extra, OBJECT_ID: opened.object_ids()})
-    return _Work(options, path, EditFile.beside(path), gaussians, opened)
+    return _Work(options, path, EditFile.beside(path), AnnotationFile.beside(path), gaussians, opened)
 
 
 @dataclass(frozen=True)
 class _Work:
-    """One call of the verb. path: of the scene. file: its edits. opened: with its field, None where it has none."""
+    """One call of the verb.
+
+    path: of the scene. file: its edits. notes: its annotations. opened: with its field, None where it has none.
+    """
 
     options: Options
     path: Path
     file: EditFile
+    notes: AnnotationFile
     gaussians: Gaussians
     opened: Scene | None
 
     @property
     def scene(self) -> Scene:
-
         if self.opened is None:
             raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
         return self.opened
@@ -242,7 +243,10 @@ class _Work:
             case "box":
                 return Box(np.array(value[:3]), np.eye(3), np.array(value[3:]))
             case "rows":
-                return Rows.of(_row_numbers(map_npy(Path(value)), value))
+                rows = map_npy(Path(value))
+                if rows.ndim != 1 or rows.dtype.kind not in "iu" or not len(rows):
+                    raise FormatError(f"{value}: expected whole numbers (m,), got {rows.dtype} {rows.shape}")
+                return Rows.of(np.asarray(rows, np.int64))
             case "copies":
                 return Copies(value)
             case "everything":
@@ -273,9 +277,10 @@ class _Work:
             edits = edits.undone()
         for _ in range(redo or 0):
             edits = edits.redone()
-        target = self.target() if changes else None
+        if not changes:
+            return edits
+        target = self.target()
         for name, value in changes:
-            assert target is not None
             draft = self.draft(edits)
             made = self._made(name, value, draft.rows.subset(target.ids(draft)))
             edits = recorded(self.gaussians, edits.with_edit(Edit(target, made)), self.file.other)
@@ -324,7 +329,6 @@ class _Work:
     @property
     def _needed_up(self) -> Array:
         """Raises: InputError: nothing tells."""
-
         if self._up is None:
             raise InputError("nothing tells which way is up: pass up=DIRECTION, e.g. --up +z, or views=CAPTURE")
         return self._up
@@ -367,27 +371,25 @@ class _Work:
 
     # --- pictures ---
 
-    def draw(self, path: str, edits: EditList, after: Gaussians) -> View:
-        """Write --picture; returns the view that it is from."""
+    def write(self, edits: EditList, after: Gaussians) -> View | None:
+        """Write --save and --picture; returns the view that the picture is from."""
+        from ... import write_gaussians
         from ...authoring.editing.draft import Draft
         from ...authoring.editing.pictures import before_after
         from ...authoring.editing.targets import Rows
         from ...drawing.pictures import write_picture
 
-        scene, last = self.posed, edits.active[-1] if edits.active else None
+        options, last = self.options, edits.active[-1] if edits.active else None
+        if options.save:
+            write_gaussians(options.save, after, overwrite=options.overwrite, is_edited=True)
+        if options.picture is None:
+            return None
+        scene = self.posed
         if scene is None:
             raise InputError("a picture needs a place to be seen from: pass views=CAPTURE, the photos' poses")
         rows = last.target.ids(Draft.of(self.gaussians)) if last and isinstance(last.target, Rows) else None
-        view = scene.view(self.options.view) if self.options.view else scene.best_view(rows)
+        view = scene.view(options.view) if options.view else scene.best_view(rows)
         said = ", ".join(f"{one['do']} {one['of']}" for one in _edits_json(edits)[: edits.done][-2:])
-        picture = before_after(self.gaussians, after, view, said, self.options.threads)
-        write_picture(path, picture, self.options.overwrite)
+        picture = before_after(self.gaussians, after, view, said, options.threads)
+        write_picture(options.picture, picture, options.overwrite)
         return view
-
-
-def _row_numbers(array: Array, path: str) -> Array:
-    import numpy as np
-
-    if array.ndim != 1 or array.dtype.kind not in "iu" or not len(array):
-        raise FormatError(f"{path}: expected whole numbers (m,), got {array.dtype} {array.shape}")
-    return np.asarray(array, np.int64)

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...base.progress import Stopwatch
+from ...base.terminal import counted
 from ...errors import InputError
 from .declaring import Facts, count, declaration, flag, option, part, up_to, words
 from .options import (
@@ -23,6 +25,7 @@ from .options import (
     without,
     without_people,
 )
+from .tables import show_facts, size_text, text_of
 
 if TYPE_CHECKING:
     from ...formats.langsplat import FeatureFolder
@@ -217,10 +220,7 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...base.progress import Stopwatch
-    from ...formats.mask_files import FOLDER
     from ...scene.views import pictures_kind
-    from ...training.transients import with_masks
 
     watch = Stopwatch()
     views = options.photos.views(options.capture, options.invert_masks)
@@ -235,8 +235,6 @@ def run(options: Options) -> Facts:
     watch.lap("load")
     chosen, seen = _chosen_views(options, views, scene)
     with without_people(options, chosen, options.photos.dataparser_transforms) as used:
-        if options.with_scene.scene and not options.keep_people:  # nor what moves, where training wrote masks of it
-            used = with_masks(used, Path(options.with_scene.scene) / FOLDER)
         report = _embedded(options, used, segmenter, encoder, scene)
     watch.lap("embed")
     return {
@@ -270,7 +268,7 @@ def _chosen_views(options: Options, views: list[View], scene: Gaussians | None) 
         return views, None
     enough, most = (1.0, asked) if isinstance(asked, int) else (ENOUGH_SHARE, None)
     choice = choose_views(
-        scene, views, enough=enough, most=most, threads=options.threads, track=options.track
+        scene, views, enough=enough, most=most, **options.running
     )  # fmt: skip
     return sorted(choice.views, key=lambda view: view.name), choice.seen[-1] if choice.seen else 0.0
 
@@ -282,12 +280,19 @@ def _embedded(
     encoder: ImageEncoder,
     scene: Gaussians | None,
 ) -> EmbeddingReport:
-    """Embed the crops of --crops, of the objects of a scene once they are drawn."""
+    """Embed the crops of --crops, of the objects of a scene once they are drawn.
+
+    What moves is left out where training wrote masks of it beside the scene.
+    """
     from ...authoring.exporting.masking import draw_features
+    from ...formats.mask_files import FOLDER
     from ...photos.embedding.embed import embed
     from ...photos.embedding.objects_first import embed_objects
     from ...query import Scene
+    from ...training.transients import with_masks
 
+    if options.with_scene.scene and not options.keep_people:
+        views = with_masks(views, Path(options.with_scene.scene) / FOLDER)
     shared: dict[str, Any] = {"overwrite": options.overwrite, "track": options.track}
     output, parts, few = options.folder, parts_of(options.folder), options.with_scene.crops == "objects"
     if isinstance(segmenter, Scene):
@@ -305,9 +310,6 @@ def interrupted(options: Options) -> str:
 
 
 def show(answer: Facts) -> None:
-    from ...base.terminal import counted
-    from .tables import show_facts, size_text, text_of
-
     made, reused = answer["num_photos"] - answer["num_photos_reused"], text_of(answer["num_photos_reused"])
     anew = f", {text_of(answer['num_photos_redone'])} over older files" if answer["num_photos_redone"] else ""
     show_facts(

@@ -6,9 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...base.terminal import counted
 from ...errors import InputError
 from .declaring import Facts, argument, declaration, finite, flag, length, option, part, whole, words
 from .options import Encoders, Verb, left_out, overwrite, without
+from .tables import show_table
 
 if TYPE_CHECKING:
     from ...evaluation.running import Judged
@@ -114,7 +116,6 @@ def run(options: Options) -> Facts:
 def show(answer: Facts) -> None:
     from ...evaluation.report import cell_text
     from ...evaluation.tables import pictures_note, tables_of
-    from .tables import show_table
 
     for table in (table for table in tables_of([answer]) if not table.aside):
         rows = [tuple(map(cell_text, row)) for row in table.rows]
@@ -126,15 +127,10 @@ def show(answer: Facts) -> None:
 
 def _check(options: Options) -> None:
     """Check what can be checked before any work is done."""
-    from ...base.terminal import counted
-
     data, scenes, count = Path(options.data), options.scenes, len(options.scenes.scene)
+    labels = "NAME/ with photos and poses, label/NAME/ with frame_XXXXX.json"
     if not data.is_dir() or (options.in_photos and not (data / "label").is_dir()):
-        layout = (
-            "NAME/ with photos and poses, label/NAME/ with frame_XXXXX.json"
-            if options.in_photos
-            else "a folder per scene"
-        )
+        layout = labels if options.in_photos else "a folder per scene"
         got = "no label/ in it" if data.is_dir() else "no such folder"
         raise InputError(
             f"{data}: expected the data of {options.protocol} with its truth ({layout}), got {got}: fields are "
@@ -155,7 +151,6 @@ def _check(options: Options) -> None:
 
 def _names(options: Options) -> list[str]:
     """Return the folder names of the scenes. Raises: InputError: none is given, and there is not exactly one."""
-
     if options.scenes.name:
         return options.scenes.name
     place = Path(options.data, "label" if options.in_photos else "")

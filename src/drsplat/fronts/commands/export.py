@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from ...base.terminal import counted
 from ...errors import InputError
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
 from .declaring import Facts, argument, declaration, finite, flag, option, part, whole, words
@@ -128,8 +129,6 @@ def run(options: Options) -> Facts:
 
 
 def show(answer: Facts) -> None:
-    from ...base.terminal import counted
-
     if answer["format"] == "masks":
         shown = counted(answer["num_shown"], "shows", "show")
         print(f"{answer['saved']}: masks of {counted(answer['num_photos'], 'photo')}, of which {shown} something")

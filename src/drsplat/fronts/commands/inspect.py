@@ -6,10 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...base.terminal import counted
 from .declaring import Facts, argument, declaration, flag, part
 from .options import Photos, Verb
 from .recognising import kind_of, place_of, verified
-from .tables import code_facts, codebook_facts
+from .tables import code_facts, codebook_facts, show_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,14 +46,12 @@ def run(options: Options) -> Facts:
     kind, more = kind_of(path), {}
     if options.verify:
         more["verified"], more["checked"] = verified(path)
-    facts = _INSPECTORS[kind](place_of(path, kind), options.photos)
+    given = (options.photos,) if kind in ("capture", "scene folder") else ()
+    facts = _INSPECTORS[kind](place_of(path, kind), *given)
     return {"path": options.path, "kind": kind, **facts, **more}
 
 
 def show(answer: Facts) -> None:
-    from ...base.terminal import counted
-    from .tables import show_facts
-
     facts = {name: value for name, value in answer.items() if name not in ("path", "kind", "views", "photos")}
     if "objects" in facts:
         facts["objects"] = [f"{one['id']} {one['name']}" for one in facts["objects"]]
@@ -64,7 +63,7 @@ def show(answer: Facts) -> None:
     show_facts(f"{answer['kind']}: {answer['path']}", facts)
 
 
-def _scene(path: Path, _: Photos) -> Facts:
+def _scene(path: Path) -> Facts:
     from ...authoring.editing import EditFile
     from ...formats.moving_scenes import read_scene
     from ...scene.eight_bits import clamped_in_bytes
@@ -109,7 +108,7 @@ def _named_objects(path: Path) -> Facts:
     from ...scene.labelled import numbers_of
 
     if path.suffix.lower() in (".glb", ".gltf"):
-        names = [(one.number, one.name) for one in names_in_glb(path)]
+        names = names_in_glb(path)
     else:
         things = read_labels(path).things
         names = list(zip(numbers_of(things), (thing.name for thing in things), strict=True))
@@ -145,7 +144,7 @@ def _capture(path: Path, photos: Photos) -> Facts:
     }  # fmt: skip
 
 
-def _features(path: Path, _: Photos) -> Facts:
+def _features(path: Path) -> Facts:
     from ...formats.langsplat import read_features
     from ...photos.embedding.embed import recorded_renderings
     from ...scene.masks.masks import LEVELS
@@ -168,7 +167,7 @@ def _features(path: Path, _: Photos) -> Facts:
     }
 
 
-def _field(path: Path, _: Photos) -> Facts:
+def _field(path: Path) -> Facts:
     from ... import load_field
     from ...scene.views import pictures_kind, scenes_rendered
 
@@ -198,7 +197,7 @@ def _field(path: Path, _: Photos) -> Facts:
     }
 
 
-def _tiles(path: Path, _: Photos) -> Facts:
+def _tiles(path: Path) -> Facts:
     from ...formats.tiles import read_tiles
 
     tiles = read_tiles(path)
@@ -216,7 +215,7 @@ def _tiles(path: Path, _: Photos) -> Facts:
     }
 
 
-def _catalogue(path: Path, _: Photos) -> Facts:
+def _catalogue(path: Path) -> Facts:
     from ...query.catalogue import Catalogue
 
     catalogue = Catalogue.open(path)
@@ -255,7 +254,7 @@ def _scene_folder(path: Path, photos: Photos) -> Facts:
     }
 
 
-def _tensors(path: Path, _: Photos) -> Facts:
+def _tensors(path: Path) -> Facts:
     from ...formats.tensors import map_tensors
 
     tensors, metadata = map_tensors(path)
@@ -266,14 +265,14 @@ def _tensors(path: Path, _: Photos) -> Facts:
     }
 
 
-def _labels(path: Path, _: Photos) -> Facts:
+def _labels(path: Path) -> Facts:
     from ...field.labels import LabelFile
 
     labels = LabelFile(path).read()
     return {"num_labels": len(labels), "names": [label.name for label in labels]}
 
 
-def _edits(path: Path, _: Photos) -> Facts:
+def _edits(path: Path) -> Facts:
     from ...authoring.editing.edits import edits_of
     from ...formats.json_files import read_json
 
@@ -281,28 +280,28 @@ def _edits(path: Path, _: Photos) -> Facts:
     return {"scene": listed.scene, "num_edits": len(listed.edits), "num_done": listed.done}
 
 
-def _annotations(path: Path, _: Photos) -> Facts:
+def _annotations(path: Path) -> Facts:
     from ...formats.annotations import AnnotationFile
 
     annotations = AnnotationFile(path).read()
     return {"num_annotations": len(annotations), "texts": [annotation.text for annotation in annotations]}
 
 
-def _camera_path(path: Path, _: Photos) -> Facts:
+def _camera_path(path: Path) -> Facts:
     from ...authoring.filming.paths import read_path
 
     way = read_path(path)
     return {"num_key_frames": len(way.keys), "seconds": way.seconds, "fps": way.fps, "size": way.size}
 
 
-def _codebook(path: Path, _: Photos) -> Facts:
+def _codebook(path: Path) -> Facts:
     from ...field.codes.official import read_codebook
 
     codebook = read_codebook(path)
     return {"encoder": codebook.encoder.name, "dim": codebook.dim, **codebook_facts(codebook)}
 
 
-def _vocabulary(path: Path, _: Photos) -> Facts:
+def _vocabulary(path: Path) -> Facts:
     from ... import read_vocabulary
 
     vocabulary = read_vocabulary(path)
@@ -320,7 +319,7 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
     return {f"p{p}": float(v) for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
-_INSPECTORS: dict[str, Callable[[Path, Photos], Facts]] = {
+_INSPECTORS: dict[str, Callable[..., Facts]] = {
     "scene": _scene, "capture": _capture, "features": _features, "field": _field, "codebook": _codebook,
     "vocabulary": _vocabulary, "tiles": _tiles, "catalogue": _catalogue, "scene folder": _scene_folder,
     "tensors": _tensors, "labels": _labels, "edits": _edits, "annotations": _annotations, "camera path": _camera_path,

@@ -1,17 +1,13 @@
 """drsplat locate: words, a picture or a click -> the things in the scene."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from ...base.terminal import counted
 from ...query.defaults import MIN_GAUSSIANS
 from .declaring import Facts, count, declaration, flag, option, part
 from .options import Verb
 from .query_options import Outputs, Question, answer_json, ask, draw, measured_text, print_doubt
-
-if TYPE_CHECKING:
-    from ...query import Answer, Match, Scene
+from .tables import place_text, show_table, text_of
 
 EXAMPLES = """\
   drsplat locate room.field "red mug" --scene scene.ply
@@ -54,6 +50,9 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
+    import numpy as np
+
+    from ... import write_gaussians
     from ...formats.replacing import together
     from ...query.documents import match_document, track_document
     from ...query.suggesting import missed_text, words_instead
@@ -75,15 +74,19 @@ def run(options: Options) -> Facts:
             document["track"] = track_document(track)
     with together():
         if outputs.save:
-            _save(outputs.save, outputs.overwrite, scene, answer, matches)
+            match_ids = np.full(len(scene.gaussians), -1, np.int32)
+            for number, match in enumerate(matches):
+                match_ids[match.gaussian_ids] = number
+            columns = {"relevancy": answer.dense, "match_id": match_ids}
+            write_gaussians(outputs.save, scene.gaussians, columns, overwrite=outputs.overwrite)
         if outputs.picture:
-            report["view"] = _draw(options, scene, matches)
+            ids = np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
+            note = counted(len(matches), "match", "matches") if matches else "no match"
+            report["view"] = draw(options.question, outputs, scene, ids, note)
     return report
 
 
 def show(answer: Facts) -> None:
-    from .tables import show_table, text_of
-
     of = counted(answer["num_registered"], "registered Gaussian")
     measured = f"{text_of(answer['num_selected'])} of {of} selected; {measured_text(answer)}"
     print_doubt(answer)
@@ -114,7 +117,7 @@ def show(answer: Facts) -> None:
 
 
 def _row(number: int, match: Facts) -> tuple[str, ...]:
-    places = (" ".join(f"{x:.2f}" for x in match[key]) for key in ("center", "extent"))
+    places = map(place_text, (match["center"], match["extent"]))
     return str(number), f"{match['score']:.3f}", f"{match['num_gaussians']:,}", *places
 
 
@@ -123,26 +126,6 @@ def _track_text(track: Facts) -> str:
 
     if not len(track["times"]):
         return "is nowhere at any time"
-    start, end = (" ".join(f"{x:.2f}" for x in track["centers"][place]) for place in (0, -1))
+    start, end = map(place_text, (track["centers"][0], track["centers"][-1]))
     seen = f", seen {spans_text(track['spans'])}" if track["spans"] else ""
     return f"goes from ({start}) at {track['times'][0]:.4g} to ({end}) at {track['times'][-1]:.4g}{seen}"
-
-
-def _save(path: str, overwrite: bool, scene: Scene, answer: Answer, matches: list[Match]) -> None:
-    import numpy as np
-
-    from ... import write_gaussians
-
-    match_ids = np.full(len(scene.gaussians), -1, np.int32)
-    for number, match in enumerate(matches):
-        match_ids[match.gaussian_ids] = number
-    columns = {"relevancy": answer.dense, "match_id": match_ids}
-    write_gaussians(path, scene.gaussians, columns, overwrite=overwrite)
-
-
-def _draw(options: Options, scene: Scene, matches: list[Match]) -> str:
-    import numpy as np
-
-    ids = np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
-    note = counted(len(matches), "match", "matches") if matches else "no match"
-    return draw(options.question, options.outputs, scene, ids, note)

@@ -17,7 +17,7 @@ from ...errors import InputError
 class _Tee(TextIOBase):
     """Stream that writes to a terminal and, with the time before each line, to a file.
 
-    It does not claim to be a terminal, so that progress comes in lines.
+    It does not claim to be a terminal (`isatty`), so that progress comes in lines.
     """
 
     def __init__(self, terminal: Any, file: TextIO) -> None:
@@ -26,9 +26,6 @@ class _Tee(TextIOBase):
     @property
     def encoding(self) -> str:  # type: ignore[override]
         return str(self._terminal.encoding)
-
-    def isatty(self) -> bool:
-        return False
 
     def writable(self) -> bool:
         return True

@@ -1,7 +1,5 @@
 """drsplat mcp: scenes for language models, over the Model Context Protocol."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -42,7 +40,17 @@ class Listening:
         Raises: InputError: other machines could ask without one, and --open does not say so; no key in its file.
         """
 
-        key = None if self.api_key_file is None else _key(Path(self.api_key_file))
+        key = None
+        if self.api_key_file is not None:
+            path = Path(self.api_key_file)
+            if not path.is_file():
+                raise InputError(f"{path}: there is no such file")
+            key = path.read_text(encoding="utf-8", errors="replace").strip()
+            if len(key) < 16 or not key.isascii() or not key.isprintable() or " " in key:
+                raise InputError(
+                    f"{path}: expected a key of 16 or more letters, digits and signs, such as `openssl rand -hex 24` "
+                    "prints"
+                )
         if not is_loopback(self.host) and key is None and not self.open:
             raise InputError(
                 f"--host {self.host} opens it to other machines: pass --api-key-file FILE, or --open to let anyone"
@@ -58,18 +66,6 @@ def listening(port: int, workers: int) -> Any:
         port={"default": port, "help": f"port to listen on (default: {port})"},
         workers={"default": workers, "help": waiting},
     )
-
-
-def _key(path: Path) -> str:
-
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
-    key = path.read_text(encoding="utf-8", errors="replace").strip()
-    if len(key) < 16 or not key.isascii() or not key.isprintable() or " " in key:
-        raise InputError(
-            f"{path}: expected a key of 16 or more letters, digits and signs, such as `openssl rand -hex 24` prints"
-        )
-    return key
 
 
 EXAMPLES = """\

@@ -1,9 +1,8 @@
 """drsplat motion: a scene that moves, of any format -> what is in it, or the same in another format."""
 
-from __future__ import annotations
-
 from .declaring import Facts, argument, declaration, finite, option
 from .options import Verb, new_output, overwrite
+from .tables import show_facts, text_of
 
 EXAMPLES = """\
   drsplat motion gaussian_pertimestamp --times 0 1 --output film.motion
@@ -46,8 +45,6 @@ def run(options: Options) -> Facts:
 
 
 def show(answer: Facts) -> None:
-    from .tables import show_facts, text_of
-
     start, end = answer["times"]
     show_facts(
         f"moving scene: {answer['scene']}",

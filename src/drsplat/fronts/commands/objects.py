@@ -15,7 +15,8 @@ from ...errors import InputError
 from .declaring import Facts, argument, declaration, flag, option, part, whole, words
 from .edit_options import note_own_scene
 from .options import Encoders, Photos, Verb, overwrite, parts_of
-from .query_options import FIELD_HELP, check_outputs
+from .query_options import FIELD_HELP, check_outputs, open_with
+from .tables import place_text, show_table, text_of
 from .workers import Workers, tiles_of
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def run(options: Options) -> Facts:
 
     if (options.label is None) != (options.id is None):
         raise InputError("a name is given to an object: pass label=NAME and id=NUMBER together")
-    check(options.save, options.picture, options.overwrite)
+    _check(options)
     scene = _with_objects(options)
     if options.label is not None and options.id is not None:
         scene.label(objects_of(scene.field).thing(options.id), options.label)
@@ -93,13 +94,13 @@ def run(options: Options) -> Facts:
         note_own_scene(scene.path, scene.rows if scene.has_gaussians else None)
     with together():
         if options.save:
-            save(options.save, scene, documents, options.overwrite)
+            _save(Path(options.save), scene, documents, options.overwrite)
         if options.picture:
             _draw(options.picture, options.overwrite, scene, _listed(documents, options.all))
     return {
         "field": options.field,
         "num_objects": len(documents),
-        "num_agreed": sum(document["agreed"] for document in documents),
+        "num_agreed": len(_listed(documents, every=False)),
         "num_registered": len(scene.field),
         "num_in_objects": sum(document["num_gaussians"] for document in documents),
         "objects": documents,
@@ -115,8 +116,6 @@ def run(options: Options) -> Facts:
 
 
 def show(answer: Facts) -> None:
-    from .tables import show_table, text_of
-
     listed = _listed(answer["objects"], answer["all"])
     inside = text_of(sum(document["num_gaussians"] for document in listed))
     registered = counted(answer["num_registered"], "registered Gaussian")
@@ -164,7 +163,6 @@ def _drifting(scene: Scene) -> Facts | None:
 
 
 def _drifting_text(drift: Facts) -> str:
-
     if not drift["num_gaussians"]:
         return "No Gaussian changes what it belongs to over time."
     between = ", ".join(f"{pair['from']} to {pair['to']}: {pair['num_gaussians']:,}" for pair in drift["between"])
@@ -173,21 +171,12 @@ def _drifting_text(drift: Facts) -> str:
 
 
 def _row(document: Facts) -> tuple[str, ...]:
-    places = (" ".join(f"{x:.2f}" for x in document[key]) for key in ("center", "extent"))
+    places = map(place_text, (document["center"], document["extent"]))
     kinds = [kind for kind in ("surface", "few photos") if document[kind.replace(" ", "_")]]
     name = ", ".join(filter(None, [document["label"] or document["name"], *kinds]))
     return (
         str(document["id"]), name, f"{document['num_gaussians']:,}", *places, str(document["num_views"]),
         f"{document['sure']:.2f}",
-    )  # fmt: skip
-
-
-def _opened(options: Options) -> Scene:
-    from ... import open_scene
-
-    return open_scene(
-        options.field, scene=options.scene, views=options.views, threads=options.threads,
-        **vars(options.encoders), **vars(options.photos),
     )  # fmt: skip
 
 
@@ -203,32 +192,29 @@ def _with_objects(options: Options) -> Scene:
     path, tiles = scene_files(options.field).field, tiles_of(options.scene, options.workers, options.parts)
     if tiles is not None and options.vote:
         raise InputError("the photos of a scene in tiles do not vote: find its objects without --vote")
-    scene = _opened(options)
+    scene = open_with(options, options.field, options.scene)
     if scene.field.objects is not None and not (options.again or options.vote):
         return scene
-    parts, threads = options.parts or str(parts_of(path)), options.threads
+    parts = options.parts or str(parts_of(path))
     with claimed_output(path):
         if tiles is not None:
             from ...field.tiles import finding as in_tiles
 
-            launcher = options.workers.launcher(threads)
-            objects = in_tiles.find_objects(
-                scene.field, tiles, parts=parts, launcher=launcher, threads=threads, track=options.track
-            )
+            launcher = options.workers.launcher(options.threads)
+            objects = in_tiles.find_objects(scene.field, tiles, parts=parts, launcher=launcher, **options.running)
         elif options.vote:
             from ...photos.embedding.voting import vote_for_objects, votes_beside
 
-            objects = vote_for_objects(
-                scene.field, scene.gaussians, scene.views, kept=votes_beside(path), threads=threads, track=options.track
-            )
+            kept = votes_beside(path)
+            objects = vote_for_objects(scene.field, scene.gaussians, scene.views, kept=kept, **options.running)
         else:
             from ...field.objects.finding import find_objects
 
-            objects = find_objects(scene.field, scene.gaussians, threads=threads)
+            objects = find_objects(scene.field, scene.gaussians, threads=options.threads)
         scene.field.with_objects(objects).save(path, overwrite=True)
     if options.parts is None and tiles is not None:
         shutil.rmtree(parts, ignore_errors=True)
-    return _opened(options)
+    return open_with(options, options.field, options.scene)
 
 
 def _draw(path: str, overwrite: bool, scene: Scene, listed: list[Facts]) -> None:
@@ -243,21 +229,18 @@ def _draw(path: str, overwrite: bool, scene: Scene, listed: list[Facts]) -> None
     write_picture(path, sheet, overwrite)
 
 
-def check(saved: str | None, picture: str | None, overwrite: bool) -> None:
+def _check(options: Options) -> None:
     """Check what can be checked before any work is done."""
-
-    check_outputs(saved, picture, overwrite, ("",))
-    if picture and Path(picture).suffix.lower() not in (".jpg", ".jpeg", ".png"):
-        raise InputError(f"{picture}: pictures are written as .png or .jpg")
-    if saved and Path(saved).suffix.lower() not in SAVED_SUFFIXES:
-        raise InputError(f"{saved}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder")
+    check_outputs(options.save, options.picture, options.overwrite, ("",))
+    if options.save and Path(options.save).suffix.lower() not in SAVED_SUFFIXES:
+        raise InputError(f"{options.save}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder")
 
 
-def save(path: str, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
+def _save(place: Path, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
     from ... import write_gaussians
+    from ...formats.field_folder import replacing_folder
     from ...formats.npy import write_npy
 
-    place = Path(path)
     match place.suffix.lower():
         case ".npy":
             write_npy(place, scene.object_ids(), overwrite)
@@ -267,8 +250,12 @@ def save(path: str, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
             _save_json(place, scene, listed, overwrite)
         case ".csv":
             _save_csv(place, listed, overwrite)
-        case _:
-            _save_folder(place, scene, listed, overwrite)
+        case _:  # a PLY of each object and a table of them; the folder appears whole or not at all
+            with replacing_folder(place, overwrite, TABLE_FILE) as folder:
+                for match in scene.objects:
+                    file = folder / f"object_{match.object_id:04d}.ply"
+                    write_gaussians(file, scene.gaussians.subset(match.gaussian_ids))
+                _save_json(folder / TABLE_FILE, scene, listed, False)
 
 
 def _save_json(path: Path, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
@@ -304,14 +291,3 @@ def _save_csv(path: Path, listed: list[Facts], overwrite: bool) -> None:
 def _cell(value: Any) -> Any:
     """Return a value that no spreadsheet takes for a formula: one that looks like it gets an apostrophe before it."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_SIGNS) else value
-
-
-def _save_folder(path: Path, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
-    """Write a PLY of each object and a table of them; the folder appears whole or not at all."""
-    from ... import write_gaussians
-    from ...formats.field_folder import replacing_folder
-
-    with replacing_folder(path, overwrite, TABLE_FILE) as folder:
-        for match in scene.objects:
-            write_gaussians(folder / f"object_{match.object_id:04d}.ply", scene.gaussians.subset(match.gaussian_ids))
-        _save_json(folder / TABLE_FILE, scene, listed, False)

@@ -78,42 +78,34 @@ def left_out(names: Sequence[str], without: str | None) -> set[str]:
 
     Raises: InputError: no such file, names that no photo has, all photos, or none.
     """
+    from ...formats.photo_files import listed
 
     if without is None:
         return set()
-    chosen = _every(names, without) if without.startswith(EVERY_PREFIX) else _listed(names, without)
+    if without.startswith(EVERY_PREFIX):
+        try:
+            step = whole(without.removeprefix(EVERY_PREFIX), least=2)
+        except argparse.ArgumentTypeError as error:
+            raise InputError(f"--without {without}: {error}") from None
+        chosen = set(sorted(names)[::step])
+    else:
+        if not Path(without).is_file():
+            raise InputError(
+                f"--without {without}: there is no such file: expected one with a photo's name on each line, or every:N"
+            )
+        by_name = {Path(name).with_suffix("").as_posix(): name for name in names} | {name: name for name in names}
+        wanted = lines_of(without, "a photo's name")
+        unknown = [name for name in wanted if name not in by_name]
+        if unknown:
+            raise InputError(
+                f"--without {without}: no photo has these names: {listed(unknown)}. Photos are named like {min(names)}"
+            )
+        chosen = {by_name[name] for name in wanted}
     if not chosen or len(chosen) == len(set(names)):
         raise InputError(
             f"--without {without}: leaves out {len(chosen)} of {len(set(names))} photos: name some, not all"
         )
     return chosen
-
-
-def _every(names: Sequence[str], without: str) -> set[str]:
-
-    try:
-        step = whole(without.removeprefix(EVERY_PREFIX), least=2)
-    except argparse.ArgumentTypeError as error:
-        raise InputError(f"--without {without}: {error}") from None
-    return set(sorted(names)[::step])
-
-
-def _listed(names: Sequence[str], path: str) -> set[str]:
-    from ...formats.photo_files import listed
-
-    by_name = {Path(name).with_suffix("").as_posix(): name for name in names}
-    by_name |= {name: name for name in names}
-    if not Path(path).is_file():
-        raise InputError(
-            f"--without {path}: there is no such file: expected one with a photo's name on each line, or every:N"
-        )
-    wanted = lines_of(path, "a photo's name")
-    unknown = [name for name in wanted if name not in by_name]
-    if unknown:
-        raise InputError(
-            f"--without {path}: no photo has these names: {listed(unknown)}. Photos are named like {min(names)}"
-        )
-    return {by_name[name] for name in wanted}
 
 
 def lines_of(path: str, what: str) -> list[str]:
@@ -159,6 +151,11 @@ class Verb:
         from ...base.progress import track
 
         return partial(track, quiet=self.json)
+
+    @property
+    def running(self) -> dict[str, Any]:
+        """Arguments of functions that take long: their threads and their progress."""
+        return {"threads": self.threads, "track": self.track}
 
 
 @declaration
@@ -206,10 +203,10 @@ class Encoders:
         return "auto" if self.device in ("auto", "cuda") else "cpu"
 
 
-def near(title: str = "") -> Any:
+def near() -> Any:
     return option(
         "camera z of the near plane, in scene units; nothing nearer is seen (default: 0.2 as published, less for "
-        "scenes smaller than four units)", "UNITS", length, title=title,
+        "scenes smaller than four units)", "UNITS", length,
     )  # fmt: skip
 
 
@@ -264,7 +261,6 @@ def new_output(path: str, overwrite: bool, suffix: str = "") -> Path:
 
 
 def exists_already(path: str | Path) -> InputError:
-
     return InputError(f"{path} exists already: pass --overwrite to replace it, or name another output")
 
 

@@ -6,11 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...base.progress import Stopwatch
 from ...errors import InputError
 from .declaring import Facts, argument, declaration, finite, option, up_to
 from .edit_options import note_own_scene
 from .options import Verb, overwrite
 from .render import BACKGROUNDS, background, size
+from .tables import show_facts, size_text, text_of
 
 if TYPE_CHECKING:
     from ...authoring.filming.paths import CameraPath
@@ -78,7 +80,6 @@ class Options(Verb):
 def run(options: Options) -> Facts:
     from ...authoring.photographing.candidates import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
     from ...authoring.photographing.taking import photograph
-    from ...base.progress import Stopwatch
     from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
 
@@ -94,7 +95,7 @@ def run(options: Options) -> Facts:
     watch.lap("read")
     record = photograph(
         scene, options.output, settings, name=Path(options.scene).resolve().name, path=path,
-        overwrite=options.overwrite, threads=options.threads, track=options.track,
+        overwrite=options.overwrite, **options.running,
     )  # fmt: skip
     watch.lap("photograph")
     return {"capture": options.output, "pictures": "renderings", **record, **watch.measures()}
@@ -116,8 +117,6 @@ def _path(options: Options, scene: Gaussians) -> CameraPath | None:
 
 
 def show(answer: Facts) -> None:
-    from .tables import show_facts, size_text, text_of
-
     width, height = answer["settings"]["size"]
     cover = answer["coverage"]
     guess = ", as the scene's shape suggests: --up says otherwise" if answer["up_from"] == "scene" else ""

@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import argparse
+import math
+import re
 import shlex
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...base.terminal import quoted
 from ...errors import FormatError, InputError, placed
 from ...query.defaults import AUTO
-from ...query.schema import CUT, FIELDS, SUBJECTS, Place, QueryField, fields
+from ...query.schema import FIELDS, SUBJECTS, Place, QueryField, fields
 from .declaring import Facts, Item, argument, declaration, finite, option, part, several, words
 from .edit_options import note_own_scene
 from .options import Encoders, Photos, new_output, overwrite, search_device
 
 if TYPE_CHECKING:
     from ...base.arrays import Array
-    from ...query import Answer, Cut, Query, Scene
+    from ...query import Answer, Query, Scene
     from ...query.schema import Kind
     from ...scene.views import View
 
     Asked = Mapping[str, Any]
 
-ENDINGS_WITHOUT_SCENE = (".npy", ".json", ".csv")  # of outputs that hold no Gaussians
 FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its scene and photos"
 TEXT, *OTHER_FIELDS = fields(Place.COMMAND_LINE)
 RULES = {
@@ -60,29 +62,19 @@ def _fraction(text: str, expected: str) -> float:
 
 def pixel(text: str) -> tuple[str, float, float]:
     """Return the view's name and the pixel of "photo_003:210,140". Raises: InputError: it has another form."""
-    import re
-
     match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
     if match is None:
         raise InputError(f"--click {text}: expected VIEW:X,Y in pixels, e.g. photo_003:210,140")
     return match[1], float(match[2]), float(match[3])
 
 
-def point(text: str) -> tuple[float, float, float]:
-    """Return the point "0.3,-0.14,1.2". Raises: InputError: not three finite numbers."""
-    x, y, z = numbers("--point", text, 3)
-    return x, y, z
-
-
-def numbers(option: str, text: str, count: int) -> list[float]:
+def numbers(option: str, count: int, text: str) -> Any:
     """Return the numbers "0.3,-0.14,1.2" of an option. Raises: InputError: not so many finite ones."""
-    import math
-
     try:
-        given = [float(part) for part in text.split(",")]
+        given = tuple(float(part) for part in text.split(","))
     except ValueError:
-        given = []
-    if len(given) != count or not all(math.isfinite(number) for number in given):
+        given = ()
+    if len(given) != count or not all(map(math.isfinite, given)):
         raise InputError(f"{option} {text}: expected {count} finite numbers with commas between them")
     return given
 
@@ -114,7 +106,6 @@ def read_vector(path: str) -> Array:
 
     Raises: InputError: there is no such file, or it holds more than one. FormatError: damaged.
     """
-
     vectors = read_vectors(path)
     if len(vectors) != 1:
         raise InputError(f"{path}: expected one vector, got {len(vectors)}")
@@ -130,8 +121,6 @@ def read_vectors(path: str) -> Array:
 
     from ...formats.npy import map_npy
 
-    if not Path(path).is_file():
-        raise InputError(f"{path}: there is no such file")
     array = np.atleast_2d(map_npy(Path(path)))
     if array.ndim != 2 or array.dtype.kind != "f" or array.size == 0:
         raise FormatError(f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}")
@@ -155,7 +144,7 @@ WAYS: Mapping[Kind, Way] = {
     ),
     "vector": Way({"metavar": "FILE.npy"}, read_vector, ": (D,) floats"),
     "picture": Way({}, read_picture, "; embedded by --encoder"),
-    "point": Way({"type": words}, point, ", but --scene"),
+    "point": Way({"type": words}, partial(numbers, "--point", 3), ", but --scene"),
     "pixel": Way({"type": words}, pixel, ", but --views and --scene; e.g. photo_003:210,140"),
     "threshold": Way({"type": threshold}),
     "share": Way({"type": share}),
@@ -212,11 +201,6 @@ class Outputs:
     overwrite: bool = overwrite("output")
     photos: Photos = part(Photos)
 
-    @property
-    def opening(self) -> dict[str, Any]:
-        """Arguments of `drsplat.open_scene`."""
-        return {"scene": self.scene, "views": self.views, **vars(self.photos)}
-
     def check(self, suffixes: tuple[str, ...] = (".ply",)) -> None:
         """Check all that can be known to be wrong before any work is done. suffixes: those of --save."""
         check_outputs(self.save, self.picture, self.overwrite, suffixes)
@@ -228,9 +212,9 @@ class Outputs:
         """
         from ... import open_scene
 
-        scene = open_scene(field, **self.opening, **others)
+        scene = open_scene(field, scene=self.scene, views=self.views, **vars(self.photos), **others)
         drawn = self.picture is not None
-        if drawn or (self.save is not None and not self.save.lower().endswith(ENDINGS_WITHOUT_SCENE)):
+        if drawn or (self.save is not None and not self.save.lower().endswith(".npy")):  # which holds no Gaussians
             _ = scene.rows  # or the error that says what is missing, before any work
         if drawn:
             scene.best_view()
@@ -247,13 +231,14 @@ def check_outputs(
     save: str | None, picture: str | None, overwrite: bool, suffixes: tuple[str, ...] = (".ply",)
 ) -> None:  # fmt: skip
     """Check --save and --picture. Raises: InputError: one exists, has another suffix, or there is no such folder."""
-
     for flag, output in (("--save", save), ("--picture", picture)):
         if output is None:
             continue
-        folder = new_output(output, overwrite).parent
-        if flag == "--save" and not output.lower().endswith(suffixes):
+        folder, name = new_output(output, overwrite).parent, output.lower()
+        if flag == "--save" and not name.endswith(suffixes):
             raise InputError(f"{output}: expected a name that ends in {' or '.join(suffixes)}")
+        if flag == "--picture" and not name.endswith((".jpg", ".jpeg", ".png")):
+            raise InputError(f"{output}: pictures are written as .png or .jpg")
         if not folder.is_dir():
             raise InputError(f"{flag}: there is no folder {folder}: make it first")
 
@@ -265,13 +250,13 @@ def ask(
 
     Raises: as `Outputs.check` and `Outputs.open_scene`; InputError: the words stand where the field should.
     """
-
     outputs.check(suffixes)
     field, text = question.field, question.text
     if text and not Path(field).exists() and Path(text).exists():
         raise InputError(f"the field comes first, then the words: {text} {shlex.quote(field)}")
-    more = {**vars(question.encoders), "search_device": question.search_device, "threads": threads}
-    scene = outputs.open_scene(field, **more)
+    scene = outputs.open_scene(
+        field, **vars(question.encoders), search_device=question.search_device, threads=threads
+    )  # fmt: skip
     return scene, scene.ask(query_of(question.asked))
 
 
@@ -282,14 +267,16 @@ def open_with(options: Any, field: str, scene: str | None) -> Scene:
     """
     from ... import open_scene
 
-    more = {**vars(options.encoders), **vars(options.photos)}
-    return open_scene(field, scene=scene, views=options.views, threads=options.threads, **more)
+    return open_scene(
+        field, scene=scene, views=options.views, threads=options.threads,
+        **vars(options.encoders), **vars(options.photos),
+    )  # fmt: skip
 
 
 def values_of(given: Asked, offered: Iterable[QueryField] = FIELDS) -> dict[str, Any]:
     """Return what the options of some fields give, as `Query` takes it."""
-    by_field = {field: given.get(field.name) for field in offered}
-    return {field.name: WAYS[field.kind].read(value) for field, value in by_field.items() if value not in (None, [])}
+    values = {field.name: (WAYS[field.kind].read, given.get(field.name)) for field in offered}
+    return {name: read(value) for name, (read, value) in values.items() if value not in (None, [])}
 
 
 def query_of(given: Asked) -> Query:
@@ -297,13 +284,6 @@ def query_of(given: Asked) -> Query:
     from ...query import Query
 
     return Query(**values_of(given))
-
-
-def cut_of(given: Asked) -> Cut:
-    """Return how the options of a verb measure and cut."""
-    from ...query import Cut
-
-    return Cut(**values_of(given, CUT))
 
 
 def query_text(given: Asked) -> str:

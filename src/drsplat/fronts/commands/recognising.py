@@ -1,7 +1,5 @@
 """Kinds of files and folders that `drsplat inspect` knows: recognised by name and content, and how each is verified."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path

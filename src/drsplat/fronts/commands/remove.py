@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from .add import FieldToChange, answer_of, field_and_scene, show_change
+from .add import FieldToChange, answer_of, show_change
 from .declaring import Facts, declaration, option, part, words
 from .options import Verb
 
@@ -38,13 +38,13 @@ def run(options: Options) -> Facts:
     from ...photos.embedding.voting import vote_for_objects, votes_beside
     from ...scene.moving import canonical_of
 
-    path, gaussians = field_and_scene(options.of)
+    path, gaussians = options.of.read()
 
     def change(field: LanguageField) -> Change:
         known = field.evidence.masks.view_names if field.evidence else ()
         before = field.growth.removed if field.growth else ()  # a command that is given again means the same views
         names = views_named(options.views, [*known, *before])
-        return remove_views(field, gaussians, names, threads=options.threads, track=options.track)
+        return remove_views(field, gaussians, names, **options.running)
 
     vote = partial(
         vote_for_objects, gaussians=canonical_of(gaussians), views=(), kept=votes_beside(path), threads=options.threads

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...base.progress import Stopwatch
+from ...base.terminal import counted
 from ...errors import InputError
 from ...query.schema import Place, fields
 from .declaring import Facts, argument, declaration, finite, flag, length, option, part, whole, words
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from ...authoring.editing.edits import KeptEdits
     from ...authoring.filming.frames import Highlight
     from ...drawing.labels import Mark
-    from ...kernels import SplatArrays
     from ...query import Match
     from ...query import Scene as OpenedScene
     from ...scene.gaussians import Gaussians
@@ -133,10 +134,6 @@ class Options(Verb):
     encoders: Encoders = part(Encoders)
     photos: Photos = part(Photos)
 
-    @property
-    def output(self) -> str:
-        return self.output_dir or DEFAULT_FOLDER
-
 
 def device(options: Options) -> str:
     """Return the device to draw on."""
@@ -144,38 +141,43 @@ def device(options: Options) -> str:
 
 
 def run(options: Options) -> Facts:
-    from ...base.progress import Stopwatch
+    from ...authoring.filming.frames import Highlight
+    from ...drawing.labels import notes_of
+    from ...formats.annotations import AnnotationFile
     from ...formats.moving_scenes import read_scene
+    from ...query import Query
     from ...scene.moving import canonical_of
 
-    watch = Stopwatch()
+    watch, opened, answer = Stopwatch(), None, None
     options, found = _opened_folder(options)
     _check(options)
     own = found or read_scene(options.scene)
     views = [] if options.views is None else options.photos.views(options.views)
-    opened, answer = _answer(options)
-    # The annotations that are kept beside the scene, none without --annotations
-    from ...drawing.labels import notes_of
-    from ...formats.annotations import AnnotationFile
-
+    if options.query is not None and options.field is not None:
+        opened = open_with(options, options.field, options.scene)
+        query = Query(options.query, **values_of(options.cut, TEXT_CUT))
+        answer = Highlight.of(opened, query, heat=options.heat_map, boxes=options.boxes)
     notes = notes_of(AnnotationFile.beside(options.scene).read()) if options.annotations else []
-    scene = _edited(options, own)
+    if options.attributes is None:
+        scene = as_edited(options.scene, own, options.edits)
+    else:  # which are asked of the scene that was registered
+        scene = own
+        note_own_scene(options.scene, canonical_of(own))
     if answer is not None and scene is not own:
         answer = answer.after_edits(canonical_of(scene))
     watch.lap("read")
     if options.path is not None:
         answered = _film(options, scene, views, answer, opened, notes)
-    elif options.attributes is not None:
-        assert opened is not None
+    elif opened is not None and options.attributes is not None:
         answered = _attributes(options, opened, answer)
     else:
         answered = _stills(options, scene, views, answer, notes)
     watch.lap("render")
-    return answered | {
+    return {
+        **answered,
         "num_selected": None if answer is None or answer.is_heat else answer.num_selected,
         "num_matches": None if answer is None else len(answer.matches),
-        "seconds": sum(watch.seconds.values()),
-        "stage_seconds": watch.seconds,
+        **watch.measures(),
     }
 
 
@@ -194,8 +196,6 @@ def _opened_folder(options: Options) -> tuple[Options, Gaussians | Moving | None
 
 
 def show(answer: Facts) -> None:
-    from ...base.terminal import counted
-
     if "num_frames" in answer:
         width, height = answer["size"]
         print(
@@ -215,7 +215,6 @@ def show(answer: Facts) -> None:
 
 def _check(options: Options) -> None:
     """Check the options. Raises: InputError: some do not go together."""
-
     films, row = options.path is not None, options.attributes is not None
     if not (films or row or options.view or options.all):
         raise InputError("expected a point of view: --path orbit, or --views CAPTURE with --view NAME or --all")
@@ -223,8 +222,7 @@ def _check(options: Options) -> None:
         raise InputError("expected --output FILE: " + ("film.mp4, say" if films else "row.png, say"))
     if row and (films or options.all):
         raise InputError("attributes: one row of pictures from one view: drop --path and --all")
-    names = ("up", "fps", "seconds", "size", "side_by_side", "around")
-    of_films = [name for name in names if getattr(options.film, name) != getattr(Filming(), name)]
+    of_films = [name for name, value in vars(options.film).items() if value != getattr(Filming(), name)]
     if of_films and not films:
         raise InputError(f"--{of_films[0].replace('_', '-')} is of a film: give --path orbit, swing, photos or FILE")
     if films and (options.depth or options.alpha):
@@ -237,28 +235,6 @@ def _check(options: Options) -> None:
         raise InputError("attributes, boxes and heat maps are of an answer: give --query WORDS")
 
 
-def _edited(options: Options, scene: Gaussians | Moving) -> Gaussians | Moving:
-    """Return the scene with the edits kept beside it; attributes are asked of the scene that was registered."""
-    from ...scene.moving import canonical_of
-
-    if options.attributes is not None:
-        note_own_scene(options.scene, canonical_of(scene))
-        return scene
-    return as_edited(options.scene, scene, options.edits)
-
-
-def _answer(options: Options) -> tuple[OpenedScene | None, Highlight | None]:
-    """Return the scene of --field, and what --query finds in it."""
-    from ...authoring.filming.frames import Highlight
-    from ...query import Query
-
-    if options.query is None or options.field is None:
-        return None, None
-    opened = open_with(options, options.field, options.scene)
-    query = Query(options.query, **values_of(options.cut, TEXT_CUT))
-    return opened, Highlight.of(opened, query, heat=options.heat_map, boxes=options.boxes)
-
-
 def _film(
     options: Options, scene: Gaussians | Moving, views: list[View], answer: Highlight | None,
     opened: OpenedScene | None, notes: list[Mark],
@@ -268,18 +244,17 @@ def _film(
     from ...authoring.filming.looking import named_up
     from ...authoring.filming.planning import path_named, planned
     from ...authoring.filming.writing import check_film, write_film
-    from ...base.progress import Stopwatch
     from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
 
-    assert options.path is not None
     watch, film, beside = Stopwatch(), options.film, None
     up, other = None if film.up is None else named_up(film.up), film.side_by_side
-    path = path_named(options.path, canonical_of(scene), views, _target(options, answer, opened), up, film.seconds)
+    target = _target(options, answer, opened)
+    path = path_named(options.path or "", canonical_of(scene), views, target, up, film.seconds)
     plan = planned(
         path, views=views, fps=film.fps, seconds=film.seconds, size=film.size, sides=1 if other is None else 2
     )  # fmt: skip
-    output = new_output(options.output, options.overwrite)
+    output = new_output(options.output_dir or "", options.overwrite)
     check_film(output, plan.size, plan.fps)
     if other is not None:
         beside = scene if other == SAME_SCENE else as_edited(other, read_scene(other), options.edits)
@@ -290,11 +265,11 @@ def _film(
     write_film(output, filmed.pictures(options.track(plan.views, "filming")), plan.fps, options.overwrite)
     watch.lap("film")
     return {
-        "file": str(output),
+        "file": output,
         "num_frames": len(plan.views),
         "fps": plan.fps,
         "film_seconds": plan.seconds,
-        "size": list(plan.size),
+        "size": plan.size,
         "bytes": output.stat().st_size,
         "frames_per_second": len(plan.views) / watch.seconds["film"],
     }
@@ -321,55 +296,49 @@ def _attributes(options: Options, opened: OpenedScene, answer: Highlight | None)
     from ...query import Query
     from ...query.sheets import attribute_row
 
-    output = new_output(options.output, options.overwrite)
+    output = new_output(options.output_dir or "", options.overwrite)
     if answer is None or not answer.matches:
         raise InputError(f"'{options.query}' has no match in this scene: there is nothing to show attributes of")
     view = None if options.view is None else opened.view(options.view)
     attributes = [Query(words, objects=options.cut["objects"]) for words in options.attributes or ()]
     write_picture(output, attribute_row(opened, answer.matches[0], attributes, view), options.overwrite)
-    return {"files": [str(output)], "num_views": 1}
+    return {"files": [output], "num_views": 1}
 
 
 def _stills(
     options: Options, scene: Gaussians | Moving, views: list[View], answer: Highlight | None, notes: list[Mark]
 ) -> Facts:  # fmt: skip
+    import numpy as np
+
+    from ... import render
+    from ...drawing.labels import marked
+    from ...drawing.pictures import as_pixels, write_picture
     from ...field.evidence.columns import time_of
+    from ...formats.npy import write_npy
     from ...kernels import splat_arrays
     from ...query import view_named
     from ...scene.moving import Moving
 
     views = views if options.view is None else [view_named(views, options.view)]
     splats = None if isinstance(scene, Moving) else splat_arrays(scene, options.near)
-    written = []
+    endings = ["png"] + ["alpha.png"] * options.alpha + ["depth.npy"] * options.depth
+    values, replaces = None if answer is None else answer.values, options.overwrite
+    written: list[Path] = []
     for view in options.track(views, "rendering"):
         here = scene.at(time_of(view)) if isinstance(scene, Moving) else scene
-        written += _render(options, here, view, splats or splat_arrays(here, options.near), answer, notes)
-    return {"files": [str(path) for path in written], "num_views": len(views)}
-
-
-def _render(
-    options: Options, scene: Gaussians, view: View, splats: SplatArrays, answer: Highlight | None, notes: list[Mark]
-) -> list[Path]:  # fmt: skip
-    import numpy as np
-
-    from ... import render
-    from ...drawing.labels import marked
-    from ...drawing.pictures import as_pixels, write_picture
-    from ...formats.npy import write_npy
-
-    stem = Path(options.output) / Path(view.name).with_suffix("")
-    endings = ["png"] + ["alpha.png"] * options.alpha + ["depth.npy"] * options.depth
-    paths = {ending: new_output(f"{stem}.{ending}", options.overwrite) for ending in endings}
-    drawn = render(
-        scene, view, values=None if answer is None else answer.values, background=BACKGROUNDS[options.background],
-        threads=options.threads, splats=splats,
-    )  # fmt: skip
-    pixels = as_pixels(drawn.rgb)
-    stem.parent.mkdir(parents=True, exist_ok=True)
-    picture = pixels if answer is None else answer.over(drawn, pixels, view, 1.0)
-    write_picture(paths["png"], marked(picture, view, notes), options.overwrite)
-    if options.alpha:
-        write_picture(paths["alpha.png"], (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8), options.overwrite)
-    if options.depth:
-        write_npy(paths["depth.npy"], drawn.depth, options.overwrite)
-    return list(paths.values())
+        stem = Path(options.output_dir or DEFAULT_FOLDER) / Path(view.name).with_suffix("")
+        paths = {ending: new_output(f"{stem}.{ending}", replaces) for ending in endings}
+        drawn = render(
+            here, view, values=values, background=BACKGROUNDS[options.background], threads=options.threads,
+            splats=splats or splat_arrays(here, options.near),
+        )  # fmt: skip
+        pixels = as_pixels(drawn.rgb)
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        picture = pixels if answer is None else answer.over(drawn, pixels, view, 1.0)
+        write_picture(paths["png"], marked(picture, view, notes), replaces)
+        if options.alpha:
+            write_picture(paths["alpha.png"], (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8), replaces)
+        if options.depth:
+            write_npy(paths["depth.npy"], drawn.depth, replaces)
+        written += paths.values()
+    return {"files": written, "num_views": len(views)}

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import shlex
-import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ...base.system import peak_memory_bytes
 from ...errors import InputError
 from .declaring import Facts, argument, count, declaration, flag, option, words
 from .options import Verb, keep_people, parts_of
@@ -19,9 +20,9 @@ from .stages import (
     answered,
     check_tables,
     differences,
-    ended,
     is_done,
     notes,
+    remove,
     run_stages,
     show_answer,
     summary,
@@ -50,7 +51,8 @@ DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
 SECONDS_PER_PHOTO = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
 """Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
 GRAPH, VOTE_SECONDS_PER_PHOTO = "graph", 0.4  # the built-in segmenter, whose pieces photos join
-SAM_SECONDS_PER_PHOTO = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
+SAM_SECONDS_PER_PHOTO = 8.0
+STAGE_VERBS = ("scan", "capture", "train", "embed", "register", "objects", "locate", "view")
 DAILY = "output ask iterations segmenter encoder keep_people overwrite config"
 
 
@@ -100,40 +102,30 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...formats.replacing import claimed_folder
+    from ...formats.scan_record import MODEL, read_scan_record, write_scan_record
+    from ..scanning.display import Display
     from ..scanning.inputs import scan_input
 
-    source = scan_input(Path(options.input))
-    output = options.folder
+    source, output = scan_input(Path(options.input)), options.folder
     if options.config:
         check_tables(options.config, STAGE_VERBS)
     _refuse_strangers(output, source)
     with claimed_folder(output):
-        return _scan(options, source, output)
-
-
-STAGE_VERBS = ("scan", "capture", "train", "embed", "register", "objects", "locate", "view")
-
-
-def _scan(options: Options, source: ScanInput, output: Path) -> Facts:
-    from ...base.system import peak_memory_bytes
-    from ...formats.scan_record import read_scan_record, write_scan_record
-    from ..scanning.display import Display
-
-    before = read_scan_record(output)
-    plan = planned(options, source, output, before)
-    states = _states(before, plan, source, output, options.overwrite)
-    record = {"input": source.document(), "capture": plan.capture, "models": plan.models, "stages": states}
-    write_scan_record(output, record)
-    display = Display(plan.expected, quiet=options.json)
-    for text in plan.sentences:
-        display.tell(text)
-    run_stages(plan.stages, states, lambda: write_scan_record(output, record), display, ended)
+        before = read_scan_record(output)
+        plan = planned(options, source, output, before)
+        states = _states(before, plan, source, output, options.overwrite)
+        record = {"input": source.document(), "capture": plan.capture, "models": plan.models, "stages": states}
+        write_scan_record(output, record)
+        display = Display(plan.expected, quiet=options.json)
+        for text in plan.sentences:
+            display.tell(text)
+        run_stages(plan.stages, states, partial(write_scan_record, output, record), display)
     return {
-        "output": str(output),
-        "scene": str(output / "model"),
-        "field": str(output / FIELD),
-        "page": str(output / PAGE),
-        "capture": str(output / plan.capture),
+        "output": output,
+        "scene": output / MODEL,
+        "field": output / FIELD,
+        "page": output / PAGE,
+        "capture": output / plan.capture,
         "view": shlex.join(["drsplat", "view", str(output), *plan.encoder_option]),
         "models": plan.models,
         **summary(states, source),
@@ -162,14 +154,11 @@ def _refuse_strangers(output: Path, source: ScanInput) -> None:
             raise InputError(f"{output} holds {others[0]}, which drsplat scan did not make: name another output")
 
 
-def _states(
-    before: Facts | None, plan: Plan, source: ScanInput, output: Path, overwrite: bool
-) -> Facts:  # fmt: skip
+def _states(before: Facts | None, plan: Plan, source: ScanInput, output: Path, overwrite: bool) -> Facts:
     """Return the stages of an earlier scan that stay.
 
     Raises: InputError: it was of other photos, or had other options, and not `overwrite`.
     """
-
     if before is None or (before["stages"].keys() <= {"capture"} and not any(map(is_done, before["stages"].values()))):
         return before["stages"] if before else {}  # what `capture` began it goes on with, also of other photos
     verbs = [stage.verb for stage in plan.stages]
@@ -191,8 +180,7 @@ def _states(
     return {verb: before["stages"][verb] for verb in kept}
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(NamedTuple):
     """All that is settled before any work.
 
     Attributes:
@@ -222,17 +210,14 @@ def planned(options: Options, source: ScanInput, output: Path, before: Mapping[s
     from ...formats.scan_record import CAPTURE, MODEL
     from ..viewing.results import split_queries
 
-    common = options.common
-    has_poses = source.kind == "capture"
+    common, has_poses = options.common, source.kind == "capture"
     capture = str(source.path.resolve()) if has_poses else CAPTURE
     folder = str(output / capture)
     embed, choice, named = _embedding(options, folder, output, before)
     encoder = [] if choice.is_known else ["--encoder", choice.encoder]
     train = _training(options, folder, str(output / MODEL))
-    field = str(output / FIELD)
-    register = verb_line(
-        "register", [str(output / MODEL), folder, "--features", str(output / FEATURES), "--output", field], common
-    )
+    made = ["--features", str(output / FEATURES), "--output", str(output / FIELD)]
+    register = verb_line("register", [str(output / MODEL), folder, *made], common)
     line, given = verb_line("view", [str(output), "--export", str(output / PAGE), *encoder], [*common, "--play"])
     queries = split_queries(";".join(options.ask))
     trained = before is not None and is_done(before["stages"].get("train", {}))
@@ -262,7 +247,7 @@ def _registered(line: Any) -> Facts:
     from . import register
 
     if not parts_of(line.output).is_dir():
-        shutil.rmtree(line.output, ignore_errors=True)
+        remove(Path(line.output))
     return register.run(line)
 
 
@@ -271,7 +256,7 @@ def _counted(line: Any) -> Facts:
     from . import objects
 
     found = objects.run(line)
-    return {name: found[name] for name in ("num_objects", "num_agreed", "doubt")}
+    return {name: found[name] for name in ("num_objects", "num_agreed", "pictures", "doubt")}
 
 
 def _capturing(source: ScanInput, folder: Path, common: Sequence[str]) -> Stage:
@@ -286,9 +271,11 @@ def _capturing(source: ScanInput, folder: Path, common: Sequence[str]) -> Stage:
     capturing = VerbLine(replace(line, overwrite=True), given)
 
     def found() -> Facts | None:
-        record = read_json(folder / RECORD) if (folder / RECORD).is_file() and not is_ready(folder) else None
-        same = isinstance(record, dict) and record.get("sources") == source.fingerprint
-        return record if isinstance(record, dict) and same and record.get("settings") == settings else None
+        if not (folder / RECORD).is_file() or is_ready(folder):
+            return None
+        record = read_json(folder / RECORD)
+        wanted = {"sources": source.fingerprint, "settings": settings}
+        return record if isinstance(record, dict) and record.items() >= wanted.items() else None
 
     return Stage("capture", capturing, found=found)
 
@@ -316,14 +303,13 @@ def _embedding(
     first = verb_line("embed", given, options.common)
     named = [first.given.get(name, [[AUTO]])[-1][0] for name in ("segmenter", "encoder")]
     known = before["models"] if before is not None and not options.overwrite else {}
-    parts = ("segmenter", "encoder", "reason", "cure")
-    if known.get("asked") == named and all(isinstance(known.get(part), str) for part in parts):
-        choice = replace(ModelChoice(*(known[part] for part in parts)), meaning=str(known.get("meaning", "")))
+    if known.get("asked") == named:
+        parts = ("segmenter", "encoder", "reason", "cure", "meaning")
+        choice = ModelChoice(*(str(known.get(part, "")) for part in parts))
     else:
         choice = choose_models(named[0], named[1], first.options.device)
     defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}
-    if cutting := choice.cutting(named[0]):
-        defaults |= {name.replace("_", "-"): str(value) for name, value in cutting.items()}
+    defaults |= {name.replace("_", "-"): str(value) for name, value in choice.cutting(named[0]).items()}
     line = verb_line("embed", given, options.common, defaults)
     line.options.point_settings(choice)  # or the error that says which options do not go together
     return line, choice, named
@@ -337,7 +323,7 @@ def _expected(stages: Sequence[Stage], num_photos: int, choice: ModelChoice) -> 
     if choice.segmenter == GRAPH:
         expected["objects"] += VOTE_SECONDS_PER_PHOTO * num_photos
     else:
-        expected["embed"] = num_photos * SAM_SECONDS_PER_PHOTO["cpu"]
+        expected["embed"] = num_photos * SAM_SECONDS_PER_PHOTO
     return {stage.verb: expected[stage.verb] for stage in stages}
 
 

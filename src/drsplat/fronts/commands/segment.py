@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ...base.terminal import counted
 from ...errors import InputError
 from ...query.schema import CUT
 from .declaring import Facts, argument, declaration, option, part, words
 from .options import Encoders, Verb, lines_of
-from .query_options import FIELD_HELP, Outputs, asked, cut_of
+from .query_options import FIELD_HELP, Outputs, asked, values_of
+from .tables import show_table, text_of
 
 if TYPE_CHECKING:
-    from ...query import Scene, Segmentation
     from .query_options import Asked
 
 EXAMPLES = """\
@@ -45,9 +46,12 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
+    import numpy as np
+
     from ... import write_gaussians
-    from ...drawing.pictures import colored
+    from ...drawing.pictures import class_picture, colored, photo_or_rendering, write_picture
     from ...formats.replacing import together
+    from ...query import Cut
     from ...query.documents import segmentation_document
 
     outputs = options.outputs
@@ -58,21 +62,23 @@ def run(options: Options) -> Facts:
     names = lines_of(options.classes_file, "one class") if options.classes_file else (options.classes or "").split(",")
     classes = [name.strip() for name in names if name.strip()]
     scene = outputs.open_scene(options.field, **vars(options.encoders), threads=options.threads)
-    found = scene.segment(classes, cut_of(options.cut))
+    found = scene.segment(classes, Cut(**values_of(options.cut, CUT)))
     report = {"field": options.field, "threshold_rule": found.answers[0].rule, **segmentation_document(found)}
     with together():
         if outputs.save:
             painted = colored(scene.gaussians, found.labels, len(found.names))
             write_gaussians(outputs.save, painted, {"class_id": found.labels}, overwrite=outputs.overwrite)
         if outputs.picture:
-            report["view"] = _draw(outputs, outputs.picture, scene, found, options.threads)
+            view = outputs.chosen_view(scene, np.flatnonzero(found.labels >= 0))
+            photo = photo_or_rendering(scene.gaussians, view, threads=options.threads)
+            names = list(found.names)
+            picture = class_picture(scene.gaussians, view, photo, found.labels, names, options.threads)
+            write_picture(outputs.picture, picture, outputs.overwrite)
+            report["view"] = view.name
     return report
 
 
 def show(answer: Facts) -> None:
-    from ...base.terminal import counted
-    from .tables import show_table, text_of
-
     total = max(answer["num_registered"], 1)
     none = answer["num_registered"] - answer["num_labelled"]
     rows = [
@@ -84,15 +90,3 @@ def show(answer: Facts) -> None:
     show_table(f"{counted(answer['num_registered'], 'Gaussian')} with a feature", columns, rows)
     if answer["doubt"]:
         print(f"warning: {answer['doubt']}")
-
-
-def _draw(outputs: Outputs, path: str, scene: Scene, found: Segmentation, threads: int) -> str:
-    import numpy as np
-
-    from ...drawing.pictures import class_picture, photo_or_rendering, write_picture
-
-    view = outputs.chosen_view(scene, np.flatnonzero(found.labels >= 0))
-    photo = photo_or_rendering(scene.gaussians, view, threads=threads)
-    picture = class_picture(scene.gaussians, view, photo, found.labels, list(found.names), threads)
-    write_picture(path, picture, outputs.overwrite)
-    return view.name

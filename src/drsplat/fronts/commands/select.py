@@ -1,17 +1,12 @@
 """drsplat select: words, a picture or a click -> which Gaussians."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ...base.terminal import counted
 from .declaring import Facts, declaration, part
 from .options import Verb
 from .query_options import Outputs, Question, answer_json, ask, draw, measured_text, print_doubt
-
-if TYPE_CHECKING:
-    from ...query import Answer, Scene
+from .tables import text_of
 
 EXAMPLES = """\
   drsplat select room.field "red mug"
@@ -40,6 +35,10 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
+    import numpy as np
+
+    from ... import write_gaussians
+    from ...formats.npy import write_npy
     from ...formats.replacing import together
 
     outputs = options.outputs
@@ -50,36 +49,23 @@ def run(options: Options) -> Facts:
         "saved": outputs.save,
     }
     with together():
-        if outputs.save:
-            _save(outputs.save, outputs.overwrite, scene, answer)
+        ids = answer.gaussian_ids
+        if outputs.save and outputs.save.lower().endswith(".npy"):
+            write_npy(Path(outputs.save), ids, outputs.overwrite)
+        elif outputs.save:
+            selected = np.zeros(answer.field.num_gaussians, np.uint8)
+            selected[ids] = 1
+            columns = {"relevancy": answer.dense, "selected": selected}
+            write_gaussians(outputs.save, scene.gaussians, columns, overwrite=outputs.overwrite)
         if outputs.picture:
-            ids = answer.gaussian_ids
             report["view"] = draw(options.question, outputs, scene, ids, counted(len(ids), "Gaussian"))
     return report
 
 
 def show(answer: Facts) -> None:
-    from .tables import text_of
-
     selected, registered = (text_of(answer["num_selected"]), counted(answer["num_registered"], "registered Gaussian"))
     print_doubt(answer)
     print(f"{selected} of {registered} selected for '{answer['query']}', {answer['share']:.2%}")
     print(measured_text(answer))
     if answer["saved"]:
         print(f"written to {answer['saved']}")
-
-
-def _save(path: str, overwrite: bool, scene: Scene, answer: Answer) -> None:
-    import numpy as np
-
-    from ... import write_gaussians
-    from ...formats.npy import write_npy
-
-    ids = answer.gaussian_ids
-    if path.lower().endswith(".npy"):
-        write_npy(Path(path), ids, overwrite)
-        return
-    selected = np.zeros(answer.field.num_gaussians, np.uint8)
-    selected[ids] = 1
-    columns = {"relevancy": answer.dense, "selected": selected}
-    write_gaussians(path, scene.gaussians, columns, overwrite=overwrite)

@@ -1,7 +1,6 @@
 """drsplat serve: scenes over HTTP."""
 
-from __future__ import annotations
-
+from ...base.terminal import counted
 from .declaring import Facts, argument, declaration, flag, option, part, words
 from .edit_options import note_own_scenes
 from .mcp import Listening, listening
@@ -41,7 +40,6 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...base.terminal import counted
     from ..serving.listening import require
 
     require("serve", "fastapi", "uvicorn", "prometheus_client")

@@ -15,6 +15,7 @@ from ...query.defaults import MAYBE
 from .configuring import OPTIONS_NOT_KEPT, Given, did_you_mean, name_of, place, tables_of
 from .declaring import Facts, made
 from .options import people_text, transients_text, verb_parser
+from .tables import place_text, show_facts, show_table, size_text, text_of
 
 if TYPE_CHECKING:
     from ..scanning.display import Display
@@ -122,14 +123,6 @@ class Stage:
             raise
         return answer
 
-    def remove(self) -> None:
-        """Remove what is there of its outputs, made with other options."""
-        for path in self.outputs:
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink(missing_ok=True)
-
 
 def is_done(state: Mapping[str, Any]) -> bool:
     """Return whether a stage has ended."""
@@ -144,30 +137,19 @@ def differences(before: Mapping[str, Any], stages: Sequence[Stage]) -> list[tupl
             old, new = before[stage.verb]["options"], stage.line.given
             for name in sorted(old.keys() | new.keys()):
                 if old.get(name) != new.get(name):
-                    found.append(
-                        (
-                            stage.verb,
-                            f"{stage.verb}: {name} was {_options_text(old, name)}, now {_options_text(new, name)}",
-                        )
-                    )
+                    was, now = (_options_text(options.get(name)) for options in (old, new))
+                    found.append((stage.verb, f"{stage.verb}: {name} was {was}, now {now}"))
     return found
 
 
-def _options_text(options: Mapping[str, Any], name: str) -> str:
-    uses = options.get(name)
-    if not uses:
+def _options_text(uses: list[list[str]] | None) -> str:
+    if uses is None:
         return "not given"
     return " ".join(str(text) for texts in uses for text in texts) or "given"
 
 
-def run_stages(
-    stages: Sequence[Stage], states: Facts, save: Callable[[], None], display: Display,
-    ended: Callable[[str, Facts], str],
-) -> None:  # fmt: skip
-    """Run the stages that are not done, each in the knowledge of `states`, which `save` keeps.
-
-    ended: returns what is said of a stage that has ended, from its answer.
-    """
+def run_stages(stages: Sequence[Stage], states: Facts, save: Callable[[], None], display: Display) -> None:
+    """Run the stages that are not done, each in the knowledge of `states`, which `save` keeps."""
     for stage in stages:
         state = states.get(stage.verb, {})
         if not is_done(state):
@@ -175,14 +157,23 @@ def run_stages(
                 answer = stage.found() if state else None
                 if answer is None:
                     if not state:
-                        stage.remove()
+                        for path in stage.outputs:  # made with other options
+                            remove(path)
                         states[stage.verb] = {"options": stage.line.given, "state": STARTED}
                         save()
                     answer = stage.make()
             cost = display.costs[stage.verb]
             states[stage.verb] = {"options": stage.line.given, "state": DONE, **cost._asdict(), "answer": answer}
             save()
-        display.say(stage.verb, ended(stage.verb, states[stage.verb]["answer"]))
+        display.say(stage.verb, _ended(stage.verb, states[stage.verb]["answer"]))
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def answered(page: Any, texts: Sequence[str], encoder: Sequence[str], common: Sequence[str]) -> Facts:
@@ -225,22 +216,22 @@ def _suggested(page: Any) -> list[str]:
     return suggestions(scene) or list(words_of(scene))[:1]
 
 
-def ended(verb: str, answer: Facts) -> str:
+def _ended(verb: str, answer: Facts) -> str:
     """Return what is said when a stage has ended."""
-
-    if verb == "capture":
-        return f"{answer['num_registered']:,} of {counted(answer['num_photos'], 'photo')} have a pose"
-    if verb == "train":
-        psnr = answer["psnr_test"]
-        held_out = "" if psnr is None else f", PSNR {psnr:.2f} dB in photos that were held out"
-        return f"{counted(answer['num_gaussians'], 'Gaussian')}{held_out}"
-    if verb == "embed":
-        one = _pictures(answer).removesuffix("s")
-        return f"{counted(answer['num_masks'], 'mask')} in {counted(answer['num_photos'], one)}"
-    if verb == "register":
-        return f"{answer['num_registered']:,} of {counted(answer['num_gaussians'], 'Gaussian')} can be asked"
-    if verb == "objects":
-        return f"{counted(answer['num_agreed'], 'object')} that {_pictures(answer)} agree on"
+    match verb:
+        case "capture":
+            return f"{answer['num_registered']:,} of {counted(answer['num_photos'], 'photo')} have a pose"
+        case "train":
+            psnr = answer["psnr_test"]
+            held_out = "" if psnr is None else f", PSNR {psnr:.2f} dB in photos that were held out"
+            return f"{counted(answer['num_gaussians'], 'Gaussian')}{held_out}"
+        case "embed":
+            one = answer["pictures"].removesuffix("s")
+            return f"{counted(answer['num_masks'], 'mask')} in {counted(answer['num_photos'], one)}"
+        case "register":
+            return f"{answer['num_registered']:,} of {counted(answer['num_gaussians'], 'Gaussian')} can be asked"
+        case "objects":
+            return f"{counted(answer['num_agreed'], 'object')} that {answer['pictures']} agree on"
     return f"{counted(len(answer['answers']), 'query', 'queries')} answered in the page"
 
 
@@ -251,7 +242,7 @@ def summary(states: Facts, source: ScanInput) -> Facts:
     train, objects = stages["train"], stages["objects"]
     return {
         "num_photos": posed["num_photos"],
-        "pictures": _pictures(stages["register"]),
+        "pictures": stages["register"]["pictures"],
         "num_registered": posed["num_registered"],
         "psnr_test": train["psnr_test"],
         "num_gaussians": train["num_gaussians"],
@@ -266,39 +257,35 @@ def summary(states: Facts, source: ScanInput) -> Facts:
     }
 
 
-def _pictures(answer: Facts) -> str:
-    """Return what a stage looked at; stages of older versions knew photos only."""
-    return str(answer.get("pictures", "photos"))
-
-
 def notes(states: Facts, is_doubted: bool) -> list[str]:
     """Return sentences about what was left out, and about what to doubt unless that has been said."""
     stages = {verb: state["answer"] for verb, state in states.items()}
-    said = []
+    said: list[str] = []
     posed = stages.get("capture", {})
-    without = posed.get("left_out", [])
-    if without:
+    if without := posed.get("left_out"):
         have = "has" if len(without) == 1 else "have"
         said.append(f"{len(without):,} of {posed['num_photos']:,} photos {have} no pose (left_out says why).")
     if posed.get("num_with_people"):
-        said.append(people_text(posed["num_with_people"], posed["num_registered"]).capitalize() + ".")
+        said.append(_sentence(people_text(posed["num_with_people"], posed["num_registered"])))
     if moved := stages["train"].get("num_views_with_transients"):
-        said.append(transients_text(moved, stages["train"]["num_views"]).capitalize() + ".")
+        said.append(_sentence(transients_text(moved, stages["train"]["num_views"])))
     if stages["train"]["held_out_far_below"]:
         said.append(
             "Photos that were held out look far worse than those trained on: the photos overlap too little, or poses "
             "are wrong."
         )
     if stages["objects"]["doubt"] and not is_doubted:
-        doubt: str = stages["objects"]["doubt"]
-        said.append(doubt[0].upper() + doubt[1:] + ".")
+        said.append(_sentence(stages["objects"]["doubt"]))
     return said
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def show_answer(answer: Facts) -> None:
     """Print what a scan has made, for people."""
     from ...query.naming import ONLY_COLORS_DOUBT
-    from .tables import show_facts, show_table, size_text, text_of
 
     psnr = answer["psnr_test"]
     seconds = ", ".join(f"{verb} {spent:.0f}" for verb, spent in answer["stage_seconds"].items())
@@ -315,24 +302,22 @@ def show_answer(answer: Facts) -> None:
         },
     )
     if answer["left_out"]:
-        show_table(
-            "Photos without a pose", ("photo", "why"), [(one["name"], one["reason"]) for one in answer["left_out"]]
-        )
+        rows = [(one["name"], one["reason"]) for one in answer["left_out"]]
+        show_table("Photos without a pose", ("photo", "why"), rows)
     said = {ONLY_COLORS_DOUBT}  # by one of the notes
     for note in answer["notes"]:
         print(note)
     for one in answer["answers"]:
         doubts = [text for text in one.get("doubt", "").split(". ") if text and text not in said]
         said.update(doubts)
-        print("".join(f"{text[0].upper()}{text[1:]}.\n" for text in doubts) + f"{one['query']}: {_answer_text(one)}")
-    print(f"Open {Path(answer['page'])} in a browser. To search it live: {answer['view']}")
+        print(*map(_sentence, doubts), f"{one['query']}: {_answer_text(one)}", sep="\n")
+    print(f"Open {answer['page']} in a browser. To search it live: {answer['view']}")
 
 
 def _answer_text(one: Facts) -> str:
-
     if "fault" in one:
         return f"not asked: {one['fault']}"
-    places = [" ".join(f"{x:.2f}" for x in match["center"]) for match in one["matches"]]
+    places = [place_text(match["center"]) for match in one["matches"]]
     where = f" at {'; '.join(places)}" if places else ""
     maybe = "maybe " if one["certainty"] == MAYBE else ""
     return f"{maybe}{counted(one['num_matches'], 'match', 'matches')}{where}"

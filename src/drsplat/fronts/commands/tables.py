@@ -69,6 +69,11 @@ def text_of(value: object) -> str:
     return str(value)
 
 
+def place_text(numbers: Iterable[float]) -> str:
+    """Format a place or an extent: 1.00 -0.25 0.50."""
+    return " ".join(f"{x:.2f}" for x in numbers)
+
+
 def size_text(num_bytes: int) -> str:
     power = min((len(str(num_bytes)) - 1) // 3, 4)
     return f"{num_bytes / 1000**power:.{min(power, 1)}f} {('B', 'KB', 'MB', 'GB', 'TB')[power]}"

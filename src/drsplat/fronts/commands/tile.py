@@ -1,11 +1,13 @@
 """drsplat tile: scenes, or blocks of one -> a folder of tiles."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
+from ...base.progress import Stopwatch
+from ...base.system import folder_bytes
+from ...base.terminal import counted
 from .declaring import Facts, argument, count, declaration, option
 from .options import Verb, new_output, overwrite
+from .tables import show_facts, size_text, text_of
 
 EXAMPLES = """\
   drsplat tile scene.ply --output city.tiles
@@ -33,8 +35,6 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...base.progress import Stopwatch
-    from ...base.system import folder_bytes
     from ...field.tiles.cutting import TILE_ROWS, cut
     from ...formats.sources import blocks_of
 
@@ -56,9 +56,6 @@ def run(options: Options) -> Facts:
 
 
 def show(answer: Facts) -> None:
-    from ...base.terminal import counted
-    from .tables import show_facts, size_text, text_of
-
     show_facts(
         f"cut: {answer['tiles']}",
         {

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from ...base.progress import Meter
+from ...base.system import peak_memory_bytes
 from ...base.terminal import counted
 from .declaring import Facts, count, declaration, flag, option, part, whole
 from .options import Photos, Verb, capture, invert_masks, keep_people, kernel_device, overwrite, without_people
+from .tables import show_facts, size_text
 
 if TYPE_CHECKING:
     from ...scene.views import View
-    from ...training import TrainingSettings
 
 EXAMPLES = """\
   drsplat train capture --output-dir model
@@ -26,6 +27,7 @@ DAILY = "output_dir overwrite iterations resolution device images"
 RESOLUTION_DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
 EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 3600, 30_000  # of the two schedules
+NO_POINTS = "the capture has no points: triangulating some from its photos, a fifth of a second each"
 MAX_SIDE_PIXELS = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
 
@@ -134,20 +136,22 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ... import read_sparse_points, train
-    from ...base.progress import Meter
-    from ...base.system import peak_memory_bytes
     from ...kernels.cuda.devices import chosen_device
+    from ...training import TrainingSettings, everyday
 
     device, views = chosen_device(options.device), options.views()
-    settings = _settings(options, views)
-    points = read_sparse_points(
-        options.capture, points=options.points, dataparser_transforms=options.dataparser_transforms
-    )
+    chosen = {name: value for name, value in vars(options.method).items() if name != "schedule"}
+    chosen |= {"evaluate_every": options.course.eval_every} | ({"transients_at": 0} if options.keep_people else {})
+    if options.method.is_everyday:
+        settings = everyday(views, options.planned_iterations, **chosen)
+    else:
+        settings = TrainingSettings(iterations=options.planned_iterations, **chosen)
+    transforms = options.dataparser_transforms
+    points = read_sparse_points(options.capture, points=options.points, dataparser_transforms=transforms)
     if points is None and not options.json:  # before the meter begins to move
-        text = "the capture has no points: triangulating some from its photos, a fifth of a second each"
-        print(f"drsplat: {text}", file=sys.stderr)
+        print(f"drsplat: {NO_POINTS}", file=sys.stderr)
     with (
-        without_people(options, views, options.dataparser_transforms) as used,
+        without_people(options, views, transforms) as used,
         Meter("training", settings.iterations, quiet=options.json) as meter,
     ):
         training = train(
@@ -173,8 +177,6 @@ def run(options: Options) -> Facts:
 
 
 def show(answer: Facts) -> None:
-    from .tables import show_facts, size_text
-
     seconds, count = answer["seconds"], max(answer["iterations"], 1)
     stages = answer["stage_seconds"].items()
     psnr, ssim = answer["psnr_test"], answer["ssim_test"]
@@ -196,15 +198,3 @@ def show(answer: Facts) -> None:
             "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
-
-
-def _settings(options: Options, views: Sequence[View]) -> TrainingSettings:
-    from ...training import TrainingSettings, everyday
-
-    chosen = {name: value for name, value in vars(options.method).items() if name != "schedule"}
-    chosen["evaluate_every"] = options.course.eval_every
-    if options.keep_people:
-        chosen["transients_at"] = 0
-    if options.method.is_everyday:
-        return everyday(views, options.planned_iterations, **chosen)
-    return TrainingSettings(iterations=options.planned_iterations, **chosen)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from ...base.terminal import counted
 from ...errors import InputError
+from ..serving.listening import require_packages
 from .declaring import PORT, Facts, argument, count, declaration, flag, option, part
 from .declaring import words as text  # an option is called words
 from .edit_options import kept_edits, note_applied
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from ...base.arrays import Vector3
     from ...query import Scene
     from ...query.catalogue import Catalogue
-    from ..viewing.live.service import Service
 
 EXAMPLES = """\
   drsplat view drsplat-demo
@@ -86,19 +84,18 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-
     if (options.field is None) == (options.catalogue is None):
         raise InputError("view: expected a scene, or --catalogue CATALOGUE")
-    if options.catalogue is not None:
-        _serve_catalogue(options, options.catalogue)
-    for name in ("path", "play", "known"):
-        if getattr(options, name) and options.export is None:
-            raise InputError(f"{name} is of a page: give --export PAGE.html")
-    return _export(options, options.export) if options.export else _serve(options)
+    if options.catalogue is None:
+        if options.export is not None:
+            return _export(options, options.export)
+        for name in ("path", "play", "known"):
+            if getattr(options, name):
+                raise InputError(f"{name} is of a page: give --export PAGE.html")
+    return _serve(options)
 
 
 def show(answer: Facts) -> None:
-
     if "page" in answer:
         print(f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB")
         if answer["moving"]:
@@ -135,71 +132,51 @@ def _export(options: Options, path: str) -> Facts:
 
 
 def _serve(options: Options) -> NoReturn:
-    _require_packages()
-    from ..viewing.tiled import session_of
-
-    scene = _scene(options)
-    session = session_of(
-        scene, options.max_gaussians or MAX_GAUSSIANS, _words(options.words), edits_kept=options.edits != "none"
-    )
-    note_applied(session.edits.listed.done)
-    up, shown = _up(options.up, scene), session.shown
-    with _service(options) as service:
-        service.show(session, up, options.ask)
-        _print_address(options.json, service.address, {"num_shown": session.num_shown}, shown.summary)
-        service.run()
-    raise SystemExit(0)  # all has been said
-
-
-def _serve_catalogue(options: Options, path: str) -> NoReturn:
-    from ...query.catalogue import Catalogue
-
-    _require_packages()
-    for name in ("scene", "views", "ask", "words", "export", "up", "edits"):
-        if getattr(options, name):
-            raise InputError(f"--{name} is of one scene, and --catalogue of many: drop one")
-    catalogue = Catalogue.open(path, **vars(options.encoders), threads=options.threads)
-    _ = catalogue.encoder  # or the error that says that nothing is in it
-    number = len(catalogue)
-    with _service(options, catalogue) as service:
-        said = f"{counted(number, 'object')} to search."
-        _print_address(options.json, service.address, {"num_objects": number}, said)
-        service.run()
-    raise SystemExit(0)
-
-
-def _require_packages() -> None:
-    """Check the viewer's packages. Raises: MissingExtraError: one is not installed."""
-    from ..serving.listening import require_packages
-
+    """Open a scene, or a catalogue of many, to browsers. Raises: InputError: nothing can listen there."""
     require_packages("viewer", "fastapi", "uvicorn", "prometheus_client")
-
-
-@contextmanager
-def _service(options: Options, catalogue: Catalogue | None = None) -> Iterator[Service]:
-    """Make a viewer that is about to answer on the address of the options.
-
-    Raises: InputError: nothing can listen there.
-    """
     from ..viewing.live.service import Service, listening_socket
     from ..viewing.live.shared import Shared
     from ..viewing.saving import Saves
+    from ..viewing.tiled import session_of
 
     def opened(path: Path) -> Scene:
         return _scene(replace(options, field=str(path), scene=None, views=None))
 
-    saves = Saves(None if options.save_dir is None else Path(options.save_dir))
-    shared = Shared(saves, opened, options.max_gaussians or MAX_GAUSSIANS, catalogue=catalogue)
-    with listening_socket(options.host, options.port) as listening:
-        yield Service(shared, listening, options.host)
-
-
-def _print_address(as_json: bool, address: str, numbers: dict[str, int], said: str) -> None:
-    """Print the address at once: who waits for the end never learns it."""
-    if as_json:
-        print(json.dumps({"address": address, **numbers}), flush=True)
+    most, catalogue = options.max_gaussians or MAX_GAUSSIANS, _catalogue(options)
+    if catalogue is None:
+        scene = _scene(options)
+        session = session_of(scene, most, _words(options.words), edits_kept=options.edits != "none")
+        note_applied(session.edits.listed.done)
+        up, numbers, said = _up(options.up, scene), {"num_shown": session.num_shown}, session.shown.summary
     else:
-        print(f"Open {address} in a browser; Ctrl-C ends this. {said}", flush=True)
+        numbers = {"num_objects": len(catalogue)}
+        said = f"{counted(len(catalogue), 'object')} to search."
+    saves = Saves(None if options.save_dir is None else Path(options.save_dir))
+    shared = Shared(saves, opened, most, catalogue=catalogue)
+    with listening_socket(options.host, options.port) as listening:
+        service = Service(shared, listening, options.host)
+        if catalogue is None:
+            service.show(session, up, options.ask)
+        if options.json:  # at once: who waits for the end never learns the address
+            print(json.dumps({"address": service.address, **numbers}), flush=True)
+        else:
+            print(f"Open {service.address} in a browser; Ctrl-C ends this. {said}", flush=True)
+        service.run()
+    raise SystemExit(0)  # all has been said
+
+
+def _catalogue(options: Options) -> Catalogue | None:
+    """Return the catalogue that is named. Raises: InputError: options of one scene; there is nothing in it."""
+    from ...query.catalogue import Catalogue
+
+    if options.catalogue is None:
+        return None
+    for name in ("scene", "views", "ask", "words", "export", "up", "edits"):
+        if getattr(options, name):
+            raise InputError(f"--{name} is of one scene, and --catalogue of many: drop one")
+    catalogue = Catalogue.open(options.catalogue, **vars(options.encoders), threads=options.threads)
+    _ = catalogue.encoder  # or the error that says that nothing is in it
+    return catalogue
 
 
 def _words(given: str | None) -> list[str] | None:

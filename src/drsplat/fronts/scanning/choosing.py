@@ -108,17 +108,14 @@ def choose_models(segmenter: str, encoder: str, device: str = AUTO) -> ModelChoi
     try:
         models_library()
     except MissingExtraError as error:
-        return _built_in(segmenter, encoder, str(error).partition(": ")[0], pip_install("models"))
-    sam = DEFAULT_SEGMENTER if chosen_device(device) != "cpu" else CPU_SEGMENTER
-    named = [(segmenter, sam), (encoder, DEFAULT_ENCODER)]
-    reasons = [_why_not(name) for choice, name in named if choice == AUTO]
-    reason = next(filter(None, reasons), "")
-    if reason:
-        return _built_in(segmenter, encoder, reason, DOWNLOAD_CURE)
-    return ModelChoice(*(name if choice == AUTO else choice for choice, name in named))
-
-
-def _built_in(segmenter: str, encoder: str, reason: str, cure: str) -> ModelChoice:
+        reason, cure = str(error).partition(": ")[0], pip_install("models")
+    else:
+        sam = DEFAULT_SEGMENTER if chosen_device(device) != "cpu" else CPU_SEGMENTER
+        named = [(segmenter, sam), (encoder, DEFAULT_ENCODER)]
+        reason = next(filter(None, (_why_not(name) for choice, name in named if choice == AUTO)), "")
+        if not reason:
+            return ModelChoice(*(name if choice == AUTO else choice for choice, name in named))
+        cure = DOWNLOAD_CURE
     segmenter = GraphSegmenter.name if segmenter == AUTO else segmenter
     return ModelChoice(segmenter, MiniEncoder.name if encoder == AUTO else encoder, reason, cure)
 

@@ -4,7 +4,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
 from ...base.progress import Meter, duration, followed
@@ -28,21 +28,17 @@ class Display:
     def __init__(self, expected: Mapping[str, float], *, quiet: bool = False) -> None:
         self.expected, self._quiet = dict(expected), quiet
         self.costs: dict[str, Cost] = {}
-        self._stage, self._job = "", ""
-        self._meter: Meter | None = None
-        self._begin = time.monotonic()
+        self._stage, self._job, self._begin = "", "", time.monotonic()
+        self._meter, self._shown = Meter("", 0), ExitStack()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Show the meters of the block as those of a stage, and record its cost."""
-        cpu = _cpu_seconds()
+        cpu = sum(os.times()[:4])  # of this process and of the child processes that have ended
         self._stage, self._job, self._begin = name, "", time.monotonic()
-        try:
-            with followed(self._update):
-                yield
-        finally:
-            self._end_job()
-        self.costs[name] = Cost(time.monotonic() - self._begin, _cpu_seconds() - cpu)
+        with self._shown, followed(self._update):
+            yield
+        self.costs[name] = Cost(time.monotonic() - self._begin, sum(os.times()[:4]) - cpu)
 
     def say(self, name: str, text: str) -> None:
         """Print a line about a stage."""
@@ -58,10 +54,10 @@ class Display:
         return f"{list(self.expected).index(name) + 1}/{len(self.expected)} {name}:"
 
     def _update(self, job: str, done: int, total: int, text: str) -> None:
-        if job != self._job or self._meter is None:
-            self._end_job()
-            self._job = job
-            self._meter = Meter(f"{self._number(self._stage)} {job}", total, quiet=self._quiet)
+        if job != self._job:
+            self._shown.close()
+            meter = Meter(f"{self._number(self._stage)} {job}", total, quiet=self._quiet)
+            self._job, self._meter = job, self._shown.enter_context(meter)
         whole = f"about {duration(self.seconds_left(self._meter.left(done)[0]))} for all"
         self._meter.draw(done, "  ".join(filter(None, (whole, text))))
 
@@ -74,14 +70,3 @@ class Display:
         later = sum(self.expected[name] for name in names[names.index(self._stage) + 1 :])
         own = self.expected[self._stage] * pace - (time.monotonic() - self._begin)
         return (job_left if self._stage in ONE_METER_STAGES else max(job_left, own)) + later * pace
-
-    def _end_job(self) -> None:
-        if self._meter is not None:
-            self._meter.__exit__(None, None, None)
-        self._meter = None
-
-
-def _cpu_seconds() -> float:
-    """Return the CPU time of this process and of the child processes that have ended."""
-    now = os.times()
-    return now.user + now.system + now.children_user + now.children_system

@@ -145,7 +145,9 @@ def scanned(rows: DeviceRows, luts: Any, coarse: Any | None, scores: Any) -> Any
     """Fill the scores of one query, with as many sub-vectors at once as shared memory has room for."""
     engine, subvectors = rows.engine, rows.codes.shape[1]
     slots, at_once = blocks_of(subvectors, SLOT_SUBVECTORS), 2 * (engine.shared_bytes // SLICE_BYTES)
-    blocks = min(_multiprocessors(engine), blocks_of(rows.num_rows, ROWS_PER_BLOCK))
+    cuda = getattr(engine.xp, "cuda", None)
+    most = EMULATED_BLOCKS if cuda is None else int(cuda.Device().attributes["MultiProcessorCount"])
+    blocks = min(most, blocks_of(rows.num_rows, ROWS_PER_BLOCK))
     for begin in range(0, slots, at_once):
         number = min(at_once, slots - begin)
         ending = (coarse, rows.coarse_ids, rows.inverse_norms) if begin + number == slots else (None, None, None)
@@ -160,9 +162,3 @@ def _scores_of_one(rows: DeviceRows, tables: QueryTables) -> Any:
     scores = device_scores(rows, tables)
     refuse_several_queries(tables)
     return next(scores)
-
-
-def _multiprocessors(engine: Engine) -> int:
-    """Return how many blocks run at once."""
-    cuda = getattr(engine.xp, "cuda", None)
-    return EMULATED_BLOCKS if cuda is None else int(cuda.Device().attributes["MultiProcessorCount"])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError
-from ...scene.gaussians import rotation_rows
+from ...scene.gaussians import UPPER, rotation_rows
 from ..splats import SplatArrays
 from .drawing import drawn_channels
 from .engine import Engine, cuda_engine
@@ -59,8 +59,7 @@ def splats_of_tensors(
         raise InputError(f"near: expected a distance in front of the camera, got {near}")
     unit = arrays[1] / xp.sqrt((arrays[1] ** 2).sum(1, keepdims=True))
     axes = [[entry * arrays[2][:, k] for k, entry in enumerate(row)] for row in rotation_rows(unit.T)]
-    upper = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-    covariances = xp.stack([sum(a * b for a, b in zip(axes[r], axes[c], strict=True)) for r, c in upper])
+    covariances = xp.stack([sum(a * b for a, b in zip(axes[r], axes[c], strict=True)) for r, c in UPPER])
     return SplatArrays(
         xp.ascontiguousarray(arrays[0].T), covariances.astype(xp.float32), arrays[3], near, np.zeros(3), antialiased,
         engine,

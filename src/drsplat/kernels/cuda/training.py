@@ -26,7 +26,6 @@ class DeviceView(NamedTuple):
 
     camera: Any  # float32 (20)
     raster: Raster
-    near: float
 
 
 class DevicePhoto(NamedTuple):
@@ -90,14 +89,12 @@ class DevicePass(NamedTuple):
         sizes = ((count, 3), (count, 3), (count, 4), count, (count, 3), count, count)
         gradients = [xp.empty(size, xp.float32) for size in sizes]
         engine.launch(
-            "parameter_gradients", blocks_of(count), 256, *self._scene(), self.projected.extents, self.colors,
+            "parameter_gradients", blocks_of(count), 256,
+            *_scene(self.parameters, self.view, self.active, self.antialiased), self.projected.extents, self.colors,
             self.projected.counts, tiles.row_ends, sums, *gradients,
         )  # fmt: skip
         means, log_scales, quats, logits, along, screen, radii = gradients
         return DeviceGradients(means, log_scales, quats, logits, along, screen, radii, self.view, self.active)
-
-    def _scene(self) -> tuple[object, ...]:
-        return _scene(self.parameters, self.view, self.active, self.antialiased)
 
 
 def _scene(parameters: SceneParameters, view: DeviceView, active: int, antialiased: bool) -> tuple[object, ...]:
@@ -108,7 +105,7 @@ def _scene(parameters: SceneParameters, view: DeviceView, active: int, antialias
 
 def sent_view(engine: Engine, view: View, near: float) -> DeviceView:
     """Return a view on the device. Raises: InputError: see `camera_numbers`."""
-    return DeviceView(sent_camera(engine, view, near), Raster(*view.size), near)
+    return DeviceView(sent_camera(engine, view, near), Raster(*view.size))
 
 
 def forward(

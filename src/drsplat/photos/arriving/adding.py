@@ -7,6 +7,7 @@ full disk or another program that writes the field, is raised, and all views go 
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from ...errors import DrSplatError, InputError, MissingExtraError
@@ -61,13 +62,19 @@ def add_waiting(target: GrowingScene, load: Load, names: Collection[str] | None 
     Raises: NoRoom: the disk is full. ClaimedError: another process writes the field or its features. DrSplatError: the
     field or the models cannot be loaded.
     """
-    batch = _Batch(target)
-    batch.collect(names)
+    batch = _Batch(target, names)
+    batch.each(batch.pose)
     own = [view for view in batch.views if not view.has_features]
     if own:
-        batch.embed(load, own)
-    batch.read_features()
-    return batch.added()
+        batch.attempt(partial(batch.embed, load(batch.field, target.capture / FEATURES)), own)
+    batch.each(batch.read)
+    if batch.views:
+        batch.attempt(batch.add, batch.views.copy())
+    done = time.time()
+    for view in batch.views:
+        batch.live.mark_added(view, done)
+    added = tuple(replace(view, state="added", ended=done) for view in batch.views)
+    return Outcome(added, tuple(batch.refused), batch.change)
 
 
 def refuse_view(capture: Path, name: str, reason: str) -> None:
@@ -81,52 +88,31 @@ def refuse_view(capture: Path, name: str, reason: str) -> None:
 class _Batch:
     """Views on their way into the field; those that are refused leave it."""
 
-    def __init__(self, target: GrowingScene) -> None:
+    def __init__(self, target: GrowingScene, names: Collection[str] | None) -> None:
         self.target, self.live = target, LiveViews(target.capture)
         self.field = load_field(target.field)
-        self.views: list[LiveView] = []
-        self._refused: list[LiveView] = []
+        self.views = [view for view in self.live.every("waiting") if names is None or view.name in names]
+        self.refused: list[LiveView] = []
+        self.change: Change | None = None
         self._posed: dict[str, View] = {}
         self._features: dict[str, ViewFeatures] = {}
-        self._changes: list[Change] = []
 
-    def collect(self, names: Collection[str] | None) -> None:
-        """Take the views that wait and whose photos can be decoded."""
-        self.views = [view for view in self.live.every("waiting") if names is None or view.name in names]
-        self._try(self._pose, list(self.views), alone=True)
-
-    def embed(self, load: Load, views: Sequence[LiveView]) -> None:
-        """Embed the masks of photos, into the folder of the scene's other features."""
-        folder = self.target.capture / FEATURES
-        models = load(self.field, folder)
-
-        def work(some: Sequence[LiveView]) -> None:
-            posed = [self._posed[view.name] for view in some]
-            embed(posed, folder, models.segmenter, models.encoder, max_height=models.max_height)
-
-        self._try(work, views)
-
-    def read_features(self) -> None:
-        self._try(self._read, list(self.views), alone=True)
-
-    def added(self) -> Outcome:
-        """Add the views to the field, in one change unless one of them cannot be added."""
-        if self.views:
-            self._try(self._add, list(self.views))
-        done = time.time()
-        for view in self.views:
-            self.live.mark_added(view, done)
-        added = tuple(replace(view, state="added", ended=done) for view in self.views)
-        return Outcome(added, tuple(self._refused), self._changes[-1] if self._changes else None)
-
-    def _pose(self, views: Sequence[LiveView]) -> None:
+    def pose(self, views: Sequence[LiveView]) -> None:
+        """Decode photos and pose their views."""
         for view in views:
             posed = self.live.posed(view)
             load_image(posed)
             still = not isinstance(self.target.scene, Moving)
             self._posed[view.name] = replace(posed, time=None) if still else posed
 
-    def _read(self, views: Sequence[LiveView]) -> None:
+    def embed(self, models: PhotoModels, views: Sequence[LiveView]) -> None:
+        """Embed the masks of photos, into the folder of the scene's other features."""
+        posed = [self._posed[view.name] for view in views]
+        folder = self.target.capture / FEATURES
+        embed(posed, folder, models.segmenter, models.encoder, max_height=models.max_height)
+
+    def read(self, views: Sequence[LiveView]) -> None:
+        """Read the features of views."""
         level = level_index(field_level(self.field))
         for view in views:
             folder = self.live.features if view.has_features else self.target.capture / FEATURES
@@ -135,34 +121,35 @@ class _Batch:
                 raise InputError(f"no mask was found in '{view.name}'")
             self._features[view.name] = features
 
-    def _add(self, views: Sequence[LiveView]) -> None:
+    def add(self, views: Sequence[LiveView]) -> None:
+        """Add views to the field, in one change."""
         posed = [self._posed[view.name] for view in views]
         features = {view.name: self._features[view.name] for view in views}
-        target = self.target
-        change = grow_field(
-            target.field, target.scene, posed, features, target.capture / FEATURES, threads=target.threads
-        )
-        self._changes.append(change)
+        target, folder = self.target, self.target.capture / FEATURES
+        self.change = grow_field(target.field, target.scene, posed, features, folder, threads=target.threads)
         for view in views:
-            if view.name in change.left_out:
+            if view.name in self.change.left_out:
                 self._refuse(view, "it was removed from the field, or kept out of it, and stays out")
 
-    def _try(self, work: Callable[[Sequence[LiveView]], None], views: Sequence[LiveView], alone: bool = False) -> None:
+    def each(self, work: Callable[[Sequence[LiveView]], None]) -> None:
+        """Do the work for each view alone, and refuse those that fail."""
+        for view in self.views.copy():
+            self.attempt(work, [view])
+
+    def attempt(self, work: Callable[[Sequence[LiveView]], None], views: Sequence[LiveView]) -> None:
         """Do the work for all views at once; where that fails, for each alone, and refuse those that fail alone."""
-        if not alone or len(views) == 1:
-            try:
-                return work(views)
-            except _NO_FAULT_OF_A_VIEW:
-                raise
-            except DrSplatError as error:
-                if len(views) == 1:
-                    return self._refuse(views[0], str(error))
-        for view in views:
-            self._try(work, [view])
-        return None
+        try:
+            work(views)
+        except _NO_FAULT_OF_A_VIEW:
+            raise
+        except DrSplatError as error:
+            if len(views) == 1:
+                return self._refuse(views[0], str(error))
+            for view in views:
+                self.attempt(work, [view])
 
     def _refuse(self, view: LiveView, reason: str) -> None:
         now = time.time()
         self.live.refuse(view, reason, now)
         self.views.remove(view)
-        self._refused.append(replace(view, state="refused", ended=now, reason=reason))
+        self.refused.append(replace(view, state="refused", ended=now, reason=reason))

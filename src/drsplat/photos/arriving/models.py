@@ -9,6 +9,7 @@ from typing import Any
 from ...errors import InputError, MismatchError
 from ...field import LanguageField
 from ...formats.embedding_record import read_record
+from ...formats.json_files import as_kind
 from ...formats.langsplat import has_features
 from ...scene.encoders import Encoder, ImageEncoder
 from ...scene.masks.masks import Segmenter
@@ -61,38 +62,35 @@ class ModelShelf:
         self._last: tuple[object, PhotoModels] | None = None
 
     def models(self, field: LanguageField, folder: Path) -> PhotoModels:
-        """Return the models of a scene. folder: its features, with their record. Raises: as `load_models`."""
+        """Return the models of a scene. folder: its features, with their record.
+
+        Raises: InputError: as `check_names`. MismatchError: they are not those that made the scene's features.
+        """
         recorded = _recorded(folder)
         key = field.encoder, json.dumps(recorded, sort_keys=True)
         if self._last is None or self._last[0] != key:
             self._last = None  # before others take its room
-            self._last = key, load_models(field, recorded, self._names, self._load)
+            self._last = key, self._loaded(field, recorded)
         return self._last[1]
 
-
-def load_models(
-    field: LanguageField, recorded: Mapping[str, Any] | None, names: ModelNames, load: Callable[[str, str], Encoder]
-) -> PhotoModels:
-    """Load the models of a scene. recorded: what made its features, or None. load: see `ModelShelf`.
-
-    Raises: InputError: as `check_names`. MismatchError: they are not those that made the scene's features.
-    """
-    encoder = load(_encoder_name(field, names), names.device)
-    if not isinstance(encoder, ImageEncoder):
-        raise InputError(f"the encoder {encoder.identity.name} embeds words and no photos: {CURE}")
-    field.check_encoder(encoder.identity)
-    segmenter = load_segmenter(
-        _segmenter_name(recorded, names), names.device, _point_settings(recorded), threads=names.threads
-    )
-    height = MAX_HEIGHT_PIXELS if recorded is None else recorded.get("max_height")
-    models = PhotoModels(segmenter, encoder, height)  # type: ignore[arg-type]
-    settings = json.loads(json.dumps(settings_of(segmenter, encoder, models.max_height)))
-    if recorded is not None and settings != recorded:
-        others = ", ".join(name for name in {**settings, **recorded} if settings.get(name) != recorded.get(name))
-        raise MismatchError(
-            f"the photos of this scene were masked and embedded otherwise ({others}): name the same models, or {CURE}"
-        )
-    return models
+    def _loaded(self, field: LanguageField, recorded: Mapping[str, Any] | None) -> PhotoModels:
+        names = self._names
+        encoder = self._load(_encoder_name(field, names), names.device)
+        if not isinstance(encoder, ImageEncoder):
+            raise InputError(f"the encoder {encoder.identity.name} embeds words and no photos: {CURE}")
+        field.check_encoder(encoder.identity)
+        of_points = ((recorded or {}).get("segmenter") or {}).get("settings")  # those of SAM
+        settings = None if of_points is None else as_kind(of_points, PointMaskSettings, "the segmenter's settings")
+        segmenter = load_segmenter(_segmenter_name(recorded, names), names.device, settings, threads=names.threads)
+        height: Any = MAX_HEIGHT_PIXELS if recorded is None else recorded.get("max_height")
+        used = json.loads(json.dumps(settings_of(segmenter, encoder, height)))
+        if recorded is not None and used != recorded:
+            others = ", ".join(name for name in {**used, **recorded} if used.get(name) != recorded.get(name))
+            raise MismatchError(
+                f"the photos of this scene were masked and embedded otherwise ({others}): name the same models, or "
+                f"{CURE}"
+            )
+        return PhotoModels(segmenter, encoder, height)
 
 
 def _recorded(folder: Path) -> Mapping[str, Any] | None:
@@ -121,15 +119,3 @@ def _segmenter_name(recorded: Mapping[str, Any] | None, names: ModelNames) -> st
     if segmenter.get("name") != GraphSegmenter.name:
         raise InputError(f"no segmenter for the photos of this scene was named here: {CURE}")
     return GraphSegmenter.name
-
-
-def _point_settings(recorded: Mapping[str, Any] | None) -> PointMaskSettings | None:
-    """Return the recorded settings of SAM; None where there are none."""
-    settings = ((recorded or {}).get("segmenter") or {}).get("settings")
-    if not isinstance(settings, dict):
-        return None
-    values: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in settings.items()}
-    try:
-        return PointMaskSettings(**values)
-    except TypeError:
-        raise MismatchError(f"the photos of this scene were masked by another version: {CURE}") from None

@@ -69,7 +69,10 @@ def take_view(
     Raises: InputError: a name, pose, lens, photo or features that are none, or photos cannot be embedded here.
     TakenNameError: another view has the name. FullError: as many views wait as may. NoRoom: the disk is full.
     """
-    name = _checked_name(sent.name)
+    try:
+        name = live_name(sent.name)
+    except FormatError as error:
+        raise InputError(str(error)) from None
     live = LiveViews(target.capture)
     with claimed_output(live.folder, PATIENCE_S):
         earlier = live.find(name)
@@ -77,7 +80,11 @@ def take_view(
             if (earlier.name, earlier.content) != (name, sent.content):
                 raise TakenNameError(f"'{earlier.name}' was sent before with another photo, pose or lens: {_RENAME}")
             return earlier, False
-        _refuse_present(target, name)
+        evidence = target.field.evidence
+        photos = {*target.photos, *(evidence.masks.view_names if evidence else ())}
+        taken = next((other for other in sorted(photos) if stem_of(other) == stem_of(name)), None)
+        if taken is not None:
+            raise TakenNameError(f"'{taken}' is a photo of this scene already: {_RENAME}")
         view = LiveView(
             name, dict(sent.pose), dict(sent.lens), sent.time, sent.features is not None, sent.content, time.time()
         )
@@ -92,27 +99,19 @@ def take_view(
         return view, True
 
 
-def _checked_name(name: str) -> str:
-    try:
-        return live_name(name)
-    except FormatError as error:
-        raise InputError(str(error)) from None
-
-
-def _refuse_present(target: Target, name: str) -> None:
-    """Refuse the name of a view of the field or capture. Raises: TakenNameError."""
-    evidence = target.field.evidence
-    names = {*target.photos, *(evidence.masks.view_names if evidence else ())}
-    taken = next((other for other in sorted(names) if stem_of(other) == stem_of(name)), None)
-    if taken is not None:
-        raise TakenNameError(f"'{taken}' is a photo of this scene already: {_RENAME}")
-
-
 def _check(target: Target, view: LiveView, sent: SentView, most_pixels: int) -> None:
     """Check what can be checked without decoding the photo. Raises: InputError: the first fault, without a path."""
     if target.moves and sent.time is None:
         raise InputError("time: this scene moves: expected when the photo was taken, in the unit of the scene's times")
-    size = _checked_size(sent.photo, most_pixels)
+    file = io.BytesIO(sent.photo)
+    try:
+        with Image.open(file, formats=SENT_FORMATS) as photo:
+            check_cost(photo, file, most_pixels)
+            size = photo.size
+    except InputError as error:
+        raise InputError(f"picture: {error}") from None
+    except Exception as error:  # decoders of damaged files raise anything
+        raise InputError(f"picture: expected a JPEG or PNG: {type(error).__name__}") from None
     try:
         at = posed(view, size)
     except DrSplatError as error:
@@ -120,22 +119,6 @@ def _check(target: Target, view: LiveView, sent: SentView, most_pixels: int) -> 
     if sent.features is not None:
         with saying_what_is_full(target.capture), tempfile.TemporaryDirectory(prefix="drsplat-") as folder:
             _check_features(target.field, at, sent.features, Path(folder), most_pixels)
-
-
-def _checked_size(content: bytes, most_pixels: int) -> tuple[int, int]:
-    """Return a photo's width and height by its header.
-
-    Raises: InputError: no JPEG or PNG, too many pixels or too costly to decode.
-    """
-    file = io.BytesIO(content)
-    try:
-        with Image.open(file, formats=SENT_FORMATS) as photo:
-            check_cost(photo, file, most_pixels)
-            return photo.size
-    except InputError as error:
-        raise InputError(f"picture: {error}") from None
-    except Exception as error:  # decoders of damaged files raise anything
-        raise InputError(f"picture: expected a JPEG or PNG: {type(error).__name__}") from None
 
 
 def _check_features(field: LanguageField, view: View, content: bytes, folder: Path, most_pixels: int) -> None:

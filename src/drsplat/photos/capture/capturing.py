@@ -15,15 +15,15 @@ from ...errors import InputError
 from ...formats.captures import read_sparse_points, read_views
 from ...formats.colmap import read_colmap
 from ...formats.georeference import write_georeference
-from ...formats.json_files import read_json
+from ...formats.json_files import read_json, write_json
 from ...formats.mask_files import FOLDER as MASKS
 from ...formats.mask_files import SUFFIX as MASK_SUFFIX
 from ...formats.photo_files import listed
-from ...formats.replacing import claimed_folder, replacing
+from ...formats.replacing import claimed_folder
 from ..models.people import without_people
 from .finding import Source, find_photos
 from .measuring import units_between
-from .photos import Photo, bring
+from .photos import ExifFacts, Photo, bring
 from .posing import Model, Posed, Posing, Progress
 from .program import ask_colmap, require_colmap
 from .settings import KNOWN_DISTANCE, SCALE, UNDISTORTED, CaptureSettings
@@ -101,12 +101,15 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
     by_file = {photo.file: photo for photo in taken if photo.file in registered}
     names = capture_names(list(by_file.values()))
     world = _placed(model, by_file, names, work, settings)
-    work.new.joinpath("images").mkdir(exist_ok=True)
-    photos_folder = work.undistorted / "images" if settings.lens in UNDISTORTED else work.photos
-    masks_folder = work.undistorted_masks if settings.lens in UNDISTORTED else work.masks
+    photos_folder, masks_folder = work.photos, work.masks
+    if settings.lens in UNDISTORTED:
+        photos_folder, masks_folder = work.undistorted / "images", work.undistorted / "masks"
     for file, name in names.items():
-        _moved(photos_folder / file, work.new / "images" / name)
-        _moved(masks_folder / (file + MASK_SUFFIX), work.new / MASKS / (name + MASK_SUFFIX))
+        photo, mask = work.new / "images" / name, work.new / MASKS / (name + MASK_SUFFIX)
+        for old, new in ((photos_folder / file, photo), (masks_folder / (file + MASK_SUFFIX), mask)):
+            if old.exists():  # else there is none, or an earlier run has moved it
+                new.parent.mkdir(parents=True, exist_ok=True)
+                old.replace(new)
     if world.georeference is not None:
         write_georeference(work.new, world.georeference)
     with_people = None
@@ -114,8 +117,7 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
         with_people = _leave_people_out(work, threads, progress)
     record = _record(photos, posed, world, settings)
     record |= {"sources": key, "video": film, "num_with_people": with_people}
-    with replacing(work.new / RECORD, overwrite=True) as written:
-        written.write(json.dumps(record, indent=1).encode())
+    write_json(work.new / RECORD, record, overwrite=True, end="")
 
 
 def _leave_people_out(work: Work, threads: int, progress: Progress) -> int:
@@ -141,7 +143,7 @@ def _bring_all(sources: Sequence[Source], work: Work, progress: Progress, invert
             photo = brought.get(key)
             if photo is None or (photo.fault is None and not (work.photos / photo.file).is_file()):
                 photo = bring(source, work.photos, invert_masks)
-                record.write(json.dumps([key, photo.to_json()]) + "\n")
+                record.write(json.dumps([key, asdict(photo)]) + "\n")
                 record.flush()
             photos.append(photo)
             progress("photos", done, len(sources))
@@ -149,25 +151,27 @@ def _bring_all(sources: Sequence[Source], work: Work, progress: Progress, invert
 
 
 def _records(path: Path) -> dict[str, Photo]:
-    """Return the photos that an earlier run has copied; damaged lines are skipped."""
+    """Return the photos that an earlier run has copied; a line that was cut off is skipped."""
     photos: dict[str, Photo] = {}
     for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
         try:
             key, document = json.loads(line)
-            photos[key] = Photo.from_json(document)
-        except (ValueError, TypeError, KeyError):
+        except ValueError:  # the last one, cut off
             continue
+        exif: dict[str, Any] = document.pop("exif")
+        for name, part in exif.items():
+            exif[name] = tuple(part) if isinstance(part, list) else part
+        photos[key] = Photo(**document, exif=ExifFacts(**exif))
     return photos
 
 
 def _too_few(photos: Sequence[Photo], num_taken: int) -> str:
     faults = [f"{photo.name} ({photo.fault})" for photo in photos if photo.fault is not None]
     twins = len(photos) - num_taken - len(faults)
-    why = [f"{len(faults)} cannot be used: {listed(faults, 3)}"] if faults else []
-    why += [f"{twins} are copies of others"] if twins else []
-    because = f"; {'; '.join(why)}" if why else ""
+    why = f"; {len(faults)} cannot be used: {listed(faults, 3)}" if faults else ""
+    why += f"; {twins} are copies of others" if twins else ""
     return (
-        f"expected at least {MIN_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}. Take 20 or "
+        f"expected at least {MIN_PHOTOS} different photos, got {num_taken} of {len(photos)}{why}. Take 20 or "
         "more from different places, each a step to the side"
     )
 
@@ -200,10 +204,9 @@ def _placed(
         ask_colmap(
             "undistort", work.log, model=str(folder), images=str(work.photos), output=str(work.undistorted), threads=-1
         )
-        work.undistorted_masks.mkdir(parents=True, exist_ok=True)
-        ask_colmap(
-            "undistort_masks", work.log, model=str(folder), masks=str(work.masks), output=str(work.undistorted_masks)
-        )
+        masks = work.undistorted / "masks"
+        masks.mkdir(parents=True, exist_ok=True)
+        ask_colmap("undistort_masks", work.log, model=str(folder), masks=str(work.masks), output=str(masks))
         folder = work.undistorted / MODEL
     views = read_colmap(folder)
     facts = {file: photo.exif for file, photo in photos.items()}
@@ -220,13 +223,6 @@ def _placed(
         scale=similarity.scale, rotation=similarity.rotation.tolist(), translation=similarity.translation.tolist(),
     )  # fmt: skip
     return world
-
-
-def _moved(source: Path, target: Path) -> None:
-    """Rename a photo or a mask, unless there is none, or an earlier run has moved it."""
-    if source.exists():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        source.replace(target)
 
 
 def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
@@ -267,7 +263,6 @@ def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: Captu
 
 STAYING = ("images", "masks", "georeference.json")
 _OF_LENGTHS = ("scale", "known_distance")
-_IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 def sources_key(sources: Sequence[Source]) -> str:
@@ -281,9 +276,7 @@ def differs_in_scale(sources: Sequence[Source], output: Path, settings: CaptureS
     if not ((output / RECORD).is_file() and (output / MODEL / "0").is_dir()):
         return False
     record = read_json(output / RECORD)
-    if not isinstance(record, dict) or record.get("sources") != sources_key(sources):
-        return False
-    before = record.get("settings")
+    before = record.get("settings") if isinstance(record, dict) and record.get("sources") == sources_key(sources) else 0
     if not isinstance(before, dict):
         return False
     now: dict[str, Any] = json.loads(json.dumps(asdict(settings)))
@@ -300,21 +293,16 @@ def rescale(sources: Sequence[Source], output: Path, settings: CaptureSettings) 
         factor = (settings.scale or 1.0) / record["scale_factor"]
     else:
         # names in the capture by the same name and by the photo's name before it got another suffix
-        posed = [view.name for view in read_colmap(model)]
-        by_stem = {str(PurePosixPath(name).with_suffix("")): name for name in posed}
-        stems = {name: str(PurePosixPath(name).with_suffix("")) for name in [source.name for source in sources]}
-        before = {name: by_stem[stem] for name, stem in stems.items() if stem in by_stem}
-        names = before | {name: name for name in posed}
+        names = {view.name: view.name for view in read_colmap(model)}
+        by_stem = {PurePosixPath(name).with_suffix(""): name for name in names}
+        before = {source.name: by_stem.get(PurePosixPath(source.name).with_suffix("")) for source in sources}
+        names = {name: posed for name, posed in before.items() if posed} | names
         factor = settings.known_distance.metres / units_between(settings.known_distance, model, work.log, names)
-    ask_colmap(
-        "place", work.log, model=str(model), output=str(work.new / MODEL / "0"), names={}, scale=factor,
-        rotation=_IDENTITY, translation=[0.0, 0.0, 0.0],
-    )  # fmt: skip
+    ask_colmap("place", work.log, model=str(model), output=str(work.new / MODEL / "0"), scale=factor)
     record |= {
         "unit": "m",
         "scale_from": SCALE if settings.known_distance is None else KNOWN_DISTANCE,
         "scale_factor": record["scale_factor"] * factor,
         "settings": asdict(settings),
     }
-    with replacing(work.new / RECORD, overwrite=True) as file:
-        file.write(json.dumps(record, indent=1).encode())
+    write_json(work.new / RECORD, record, overwrite=True, end="")

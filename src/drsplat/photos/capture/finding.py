@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -67,7 +68,12 @@ def find_photos(folder: Path) -> list[Source]:
     photos = {_stem(name) for name in names if name not in beside and not _is_map(name)}
     aside = {name for name in names if name in beside or (_is_map(name) and _DERIVED.sub("", _stem(name)) in photos)}
     _say_aside(folder, "masks and maps of other photos", sorted(aside))
-    sources = [_source(name, folder / name, mask) for name, mask in zip(names, masks, strict=True) if name not in aside]
+    sources = []
+    for name, mask in zip(names, masks, strict=True):
+        if name not in aside:
+            stats = [each.stat() for each in (folder / name, mask) if each is not None]
+            sizes, times = zip(*((stat.st_size, stat.st_mtime_ns) for stat in stats), strict=True)
+            sources.append(Source(name, folder / name, sum(sizes), max(times), mask))
     unused = [] if any(source.mask for source in sources) else mask_folders(folder)
     if unused:
         raise InputError(f"{unused[0]}: {NO_NAME}")
@@ -99,7 +105,10 @@ def smaller_copies(folder: Path, names: Sequence[str]) -> list[str]:
         alike.setdefault(_SMALL.sub("", _stem(name)), []).append(name)
     copies = []
     for group in (group for group in alike.values() if len(group) > 1):
-        sizes = {name: size for name in group if (size := _size(folder / name)) is not None}
+        sizes = {}
+        for name in group:
+            with suppress(DrSplatError):  # which is said of it when it is brought
+                sizes[name] = photo_size(folder / name)
         largest = max(sizes, key=lambda name: sizes[name], default="")
         smaller = [
             name
@@ -119,13 +128,6 @@ def _is_map(name: str) -> bool:
     return bool(_DERIVED.search(_stem(name)) or any(map(_MAP_FOLDER.fullmatch, name.lower().split("/")[:-1])))
 
 
-def _size(path: Path) -> tuple[int, int] | None:
-    try:
-        return photo_size(path)
-    except DrSplatError:  # which is said of it when it is brought
-        return None
-
-
 def _look_alike(path: Path, other: Path) -> bool:
     looks = []
     for each in (path, other):
@@ -142,13 +144,7 @@ def _look_alike(path: Path, other: Path) -> bool:
 
 def _say_aside(folder: Path, what: str, names: Sequence[str]) -> None:
     if names:
-        text = f"{folder}: {len(names)} files are left aside as {what}: {listed(list(names), 3)}"
-        warn(text, 3)
-
-
-def _source(name: str, path: Path, mask: Path | None) -> Source:
-    stats = [each.stat() for each in (path, mask) if each is not None]
-    return Source(name, path, sum(each.st_size for each in stats), max(each.st_mtime_ns for each in stats), mask)
+        warn(f"{folder}: {len(names)} files are left aside as {what}: {listed(list(names), 3)}", 3)
 
 
 def in_order(name: str) -> list[tuple[int, int, str]]:

@@ -14,8 +14,6 @@ from ...formats.captures import read_rows
 from ...formats.photo_files import listed
 from .program import ask_colmap
 
-Position = Vector3
-
 MAX_AWAY_SHARE = 0.05  # of the photo's diagonal: points farther from the pixel say nothing about it
 MAX_SURFACE_POINTS = 12  # nearest to the pixel, which define the surface there
 MIN_PLANE_POINTS = 5
@@ -48,9 +46,16 @@ def read_places(path: Path) -> dict[str, Marker]:
     """
     seen: dict[str, dict[str, Place]] = {}
     for number, row in enumerate(read_rows(path, HEADER, "a marker's pixel"), 2):
-        name, place = _row(row, f"{path}, line {number}")
+        where = f"{path}, line {number}"
+        try:
+            name, photo, x, y = (cell.strip() for cell in row)
+            place = Place(photo, float(x), float(y))
+        except ValueError:
+            name, place = "", Place("", 0.0, 0.0)
+        if not (name and place.photo and math.isfinite(place.x) and math.isfinite(place.y)):
+            raise FormatError(f"{where}: expected a name, a photo and two numbers, got {ascii(','.join(row))[:80]}")
         if place.photo in seen.setdefault(name, {}):
-            raise FormatError(f"{path}, line {number}: '{name}' is in {place.photo} twice")
+            raise FormatError(f"{where}: '{name}' is in {place.photo} twice")
         seen[name][place.photo] = place
     return {name: Marker(name, tuple(places.values())) for name, places in seen.items()}
 
@@ -61,17 +66,6 @@ def marker_named(name: str, markers: dict[str, Marker]) -> Marker:
         near = did_you_mean(name, markers)
         raise InputError(f"the table of places has no '{name}': it has {listed(sorted(markers)) or 'no place'}.{near}")
     return markers[name]
-
-
-def _row(row: list[str], where: str) -> tuple[str, Place]:
-    try:
-        name, photo, x, y = (cell.strip() for cell in row)
-        place = Place(photo, float(x), float(y))
-        if name and photo and math.isfinite(place.x) and math.isfinite(place.y):
-            return name, place
-    except ValueError:
-        pass
-    raise FormatError(f"{where}: expected a name, a photo and two numbers, got {ascii(','.join(row))[:80]}")
 
 
 @dataclass(frozen=True)
@@ -105,7 +99,7 @@ def units_between(distance: KnownDistance, model: Path, log: Path, names: dict[s
     return units
 
 
-def _position(place: Place | Marker, model: Path, log: Path, names: dict[str, str]) -> Position:
+def _position(place: Place | Marker, model: Path, log: Path, names: dict[str, str]) -> Vector3:
     """Return the world position of a place: where its rays meet; a single ray ends at the points around its pixel."""
     pixels = place.seen if isinstance(place, Marker) else (place,)
     places = [pixel for pixel in pixels if pixel.photo in names]
@@ -123,14 +117,10 @@ def _position(place: Place | Marker, model: Path, log: Path, names: dict[str, st
             )
     if len(places) == 1:
         return _on_surface(places[0], looks[0])
-    return _meeting(_name(place), looks)
+    return _meeting(f"'{place.name}'" if isinstance(place, Marker) else place.photo, looks)
 
 
-def _name(place: Place | Marker) -> str:
-    return f"'{place.name}'" if isinstance(place, Marker) else place.photo
-
-
-def _meeting(name: str, looks: Sequence[dict[str, Any]]) -> Position:
+def _meeting(name: str, looks: Sequence[dict[str, Any]]) -> Vector3:
     """Return the place that is nearest to all rays.
 
     Raises: InputError: they are nearly parallel, or miss each other.
@@ -144,7 +134,7 @@ def _meeting(name: str, looks: Sequence[dict[str, Any]]) -> Position:
             f"known_distance: the photos of {name} were taken from nearly one direction, which tells no depth: give "
             "its pixel in a photo from the side, or in a single one"
         )
-    place: Position = np.linalg.solve(across.sum(0), (across @ centers[..., None]).sum(0))[:, 0]
+    place: Vector3 = np.linalg.solve(across.sum(0), (across @ centers[..., None]).sum(0))[:, 0]
     to_place = place - centers
     distances = np.linalg.norm(to_place, axis=1)
     along = (to_place * rays).sum(1)
@@ -157,7 +147,7 @@ def _meeting(name: str, looks: Sequence[dict[str, Any]]) -> Position:
     return place
 
 
-def _on_surface(place: Place, look: dict[str, Any]) -> Position:
+def _on_surface(place: Place, look: dict[str, Any]) -> Vector3:
     """Return the position seen at a pixel: on its ray, at the depth of the points around it."""
     pixels = np.array(look["pixels"], np.float64).reshape(-1, 2)
     away = np.linalg.norm(pixels - (place.x, place.y), axis=1)

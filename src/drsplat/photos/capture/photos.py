@@ -10,14 +10,13 @@ Facts in a photo's EXIF: its camera, its place on the Earth and how it was held.
 Source: CIPA DC-008 (Exif 2.32) for the tags; ExifTool's documentation of Apple's maker notes for the acceleration.
 """
 
-import json
 import math
 import shutil
 import struct
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -37,7 +36,7 @@ from ...scene.photos import PHOTO_FORMATS, check_cost, is_wide, orientation_of, 
 from ...scene.views import same_aspect
 from .finding import Source
 
-MAKE_TAG, MODEL_TAG = 271, 272
+MAKE_TAG, MODEL_TAG, ORIENTATION_TAG = 271, 272, 274
 EXIF_IFD_TAG, GPS_IFD_TAG = 0x8769, 0x8825
 FOCAL_MM_TAG, FOCAL_35MM_TAG, LENS_MODEL_TAG, MAKER_NOTE_TAG = 37386, 41989, 42036, 37500
 DIAGONAL_35MM_FILM_MM = math.hypot(36, 24)
@@ -150,12 +149,6 @@ DIGEST_LETTERS = 24
 _BLOCK_BYTES = 1 << 20
 # per EXIF orientation, right and down of the upright photo in (right, down) of the stored one
 _TURNS = {1: ((1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 6: ((0, -1), (1, 0)), 8: ((0, 1), (-1, 0))}
-_TRANSPOSE = {
-    2: Image.Transpose.FLIP_LEFT_RIGHT, 3: Image.Transpose.ROTATE_180, 4: Image.Transpose.FLIP_TOP_BOTTOM,
-    5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_270, 7: Image.Transpose.TRANSVERSE,
-    8: Image.Transpose.ROTATE_90,
-}  # fmt: skip
-"""Operation that turns a photo of each EXIF orientation upright."""
 
 
 @dataclass(frozen=True)
@@ -175,34 +168,6 @@ class Photo:
     exif: ExifFacts = field(default_factory=ExifFacts)
     fault: str | None = None
 
-    def to_json(self) -> str:
-        """Return the record as a line of JSON; `from_json` reads it."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def from_json(cls, line: str) -> "Photo":
-        """Parse a line of `to_json`. Raises: ValueError, TypeError: it is no such record, or was cut off."""
-        document = json.loads(line)
-        exif: dict[str, Any] = document.pop("exif")
-        exif = {key: tuple(part) if isinstance(part, list) else part for key, part in exif.items()}
-        return cls(**document, exif=ExifFacts(**exif))
-
-
-class UnreadablePhoto(Exception):
-    """Reason why a single photo is left out, in words for people."""
-
-
-class _Decoded(NamedTuple):
-    """Decoded photo. upright: the picture if it has to be written anew, None to copy the file."""
-
-    upright: Image.Image | None
-    width: int
-    height: int
-    suffix: str
-    sharpness: float
-    exif: ExifFacts
-    orientation: int = 1
-
 
 def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
     """Check a photo, write it upright into a folder under a name made of its digest, and return its record.
@@ -214,38 +179,32 @@ def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
     """
     invert = source.mask is not None and invert_masks != is_inverted(source.mask)
     try:
-        decoded = _decoded(source)
-        digest = _digest(source, invert)
-    except UnreadablePhoto as error:
-        return Photo(source.name, fault=str(error))
-    path = folder / (digest + decoded.suffix)
+        upright, suffix, orientation, photo = _decoded(source)
+    except FormatError as error:
+        return Photo(source.name, fault=str(error).removeprefix(f"{source.path}: "))
+    digest = hash_file(source.path)[:DIGEST_LETTERS]
+    if source.mask is not None:
+        digest += f"_{hash_file(source.mask)[:8]}{'_inverted' if invert else ''}"
+    path = folder / (digest + suffix)
     with open_file(source.path) as file, replacing(path, overwrite=True) as output:
-        if decoded.upright is None:
+        if upright is None:
             shutil.copyfileobj(file, output, _BLOCK_BYTES)
-        elif decoded.suffix == ".jpg":
-            decoded.upright.save(output, format="JPEG", quality=JPEG_QUALITY, subsampling=0)
+        elif suffix == ".jpg":
+            upright.save(output, format="JPEG", quality=JPEG_QUALITY, subsampling=0)
         else:
-            decoded.upright.save(output, format="PNG")
+            upright.save(output, format="PNG")
     if source.mask is not None:
         target = mask_path(folder, path.name)
-        if not bring_mask(source.mask, target, (decoded.width, decoded.height), decoded.orientation, invert):
+        if not bring_mask(source.mask, target, (photo.width, photo.height), orientation, invert):
             path.unlink()
             target.unlink()
             return Photo(source.name, fault=ALL_LEFT_OUT)
-    return Photo(source.name, path.name, decoded.width, decoded.height, decoded.sharpness, decoded.exif)
+    return replace(photo, file=path.name)
 
 
 def mask_path(folder: Path, file: str) -> Path:
     """Return where the mask of a photo in the folder is, named as COLMAP expects it."""
     return folder.parent / MASKS / (file + MASK_SUFFIX)
-
-
-def _digest(source: Source, invert: bool) -> str:
-    """Return a name from the contents of a photo and its mask."""
-    photo = hash_file(source.path)
-    if source.mask is None:
-        return photo[:DIGEST_LETTERS]
-    return f"{photo[:DIGEST_LETTERS]}_{hash_file(source.mask)[:8]}{'_inverted' if invert else ''}"
 
 
 def sharpness(grey: GreyPixels) -> float:
@@ -254,38 +213,35 @@ def sharpness(grey: GreyPixels) -> float:
     return float(laplacian.std()) if laplacian.size else 0.0
 
 
-def _decoded(source: Source) -> _Decoded:
-    """Decode a photo of any format. Raises: UnreadablePhoto, MissingExtraError."""
+def _decoded(source: Source) -> tuple[Image.Image | None, str, int, Photo]:
+    """Decode a photo of any format.
+
+    Returns: the picture if it has to be written anew, None to copy the file; the suffix of its file; the orientation
+    that it was stored in; its record, without a file. Raises: FormatError, MissingExtraError.
+    """
     if source.num_bytes == 0:
-        raise UnreadablePhoto("the file is empty")
+        raise FormatError("the file is empty")
     formats: tuple[str, ...] = PHOTO_FORMATS
     try:
-        if _is_heif(source.path):
-            add_heif()
-            formats = (*formats, "HEIF")
-        with open_file(source.path) as file, Image.open(file, formats=formats) as coded:
-            check_cost(coded, file, MAX_PIXELS)
-            return _from_coded(coded)
-    except (UnreadablePhoto, MissingExtraError):
+        with open_file(source.path) as file:
+            head = file.read(12)
+            if head[4:8] == b"ftyp" and head[8:] in STILL_BRANDS:  # HEIF: phones and messengers call some .jpg
+                add_heif()
+                formats = (*formats, "HEIF")
+            with Image.open(file, formats=formats) as coded:
+                check_cost(coded, file, MAX_PIXELS)
+                return _from_coded(source.name, coded)
+    except (FormatError, MissingExtraError):
         raise
-    except FormatError as error:  # no photo, but what lies in its place
-        raise UnreadablePhoto(str(error).removeprefix(f"{source.path}: ")) from None
     except UnidentifiedImageError:
-        raise UnreadablePhoto("it is no photo, or damaged at its beginning") from None
+        raise FormatError("it is no photo, or damaged at its beginning") from None
     except Exception as error:  # decoders of damaged files raise anything
-        raise UnreadablePhoto(f"it is damaged ({error or type(error).__name__})") from error
+        raise FormatError(f"it is damaged ({error or type(error).__name__})") from error
 
 
-def _is_heif(path: Path) -> bool:
-    """Return whether a photo is of HEIF by its first bytes: phones and messengers call some .jpg."""
-    with open_file(path) as file:
-        head = file.read(12)
-    return head[4:8] == b"ftyp" and head[8:] in STILL_BRANDS
-
-
-def _from_coded(coded: Image.Image) -> _Decoded:
+def _from_coded(name: str, coded: Image.Image) -> tuple[Image.Image | None, str, int, Photo]:
     if min(coded.size) < MIN_SIDE_PIXELS:
-        raise UnreadablePhoto(f"{coded.width}x{coded.height} pixels are too few")
+        raise FormatError(f"{coded.width}x{coded.height} pixels are too few")
     exif = exif_facts(coded)
     orientation = orientation_of(coded)
     is_jpeg = coded.format in ("JPEG", "MPO")
@@ -294,19 +250,11 @@ def _from_coded(coded: Image.Image) -> _Decoded:
     if orientation == 1 and plain and (is_jpeg or coded.format == "PNG"):
         width, height = coded.size
         coded.draft("L", (LOOK_SIDE_PIXELS, LOOK_SIDE_PIXELS))
-        return _Decoded(None, width, height, suffix, _sharpness_of(coded), exif)
-    upright = ImageOps.exif_transpose(as_rgb(coded))
+        return None, suffix, 1, Photo(name, "", width, height, _sharpness_of(coded), exif)
+    upright = ImageOps.exif_transpose(rgb_of(coded))
     exif = replace(exif, down=turned_down(exif.down, orientation))
     upright.info.clear()
-    return _Decoded(upright, *upright.size, suffix, _sharpness_of(upright), exif, orientation)
-
-
-def as_rgb(coded: Image.Image) -> Image.Image:
-    """Return `rgb_of` a photo. Raises: UnreadablePhoto: instead of FormatError."""
-    try:
-        return rgb_of(coded)
-    except FormatError as error:
-        raise UnreadablePhoto(str(error)) from None
+    return upright, suffix, orientation, Photo(name, "", *upright.size, _sharpness_of(upright), exif)
 
 
 def _sharpness_of(picture: Image.Image) -> float:
@@ -342,11 +290,12 @@ def bring_mask(mask: Path, target: Path, size: tuple[int, int], orientation: int
     """
     picture = read_mask(mask)
     if (orientation > 4 and not same_aspect(picture.size, size)) or orientation in (2, 3, 4):
-        picture = picture.transpose(_TRANSPOSE[orientation])
+        picture.getexif()[ORIENTATION_TAG] = orientation
+        picture = ImageOps.exif_transpose(picture)
     if not same_aspect(picture.size, size):
-        width, height = picture.size
         raise MismatchError(
-            f"{mask}: the mask is {width}x{height}, its photo {size[0]}x{size[1]}: make it of the photo as it is"
+            f"{mask}: the mask is {picture.width}x{picture.height}, its photo {size[0]}x{size[1]}: make it of the "
+            "photo as it is"
         )
     used = np.asarray(picture.resize(size, Image.Resampling.NEAREST)) >= MIN_WHITE
     pixels = np.where(used != invert, np.uint8(255), np.uint8(0))

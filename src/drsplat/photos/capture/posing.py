@@ -16,15 +16,15 @@ import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 
 from ...base.arrays import Embedding, Embeddings, Float32, Float64, OtherEmbeddings, Points
 from ...errors import FormatError
-from ...formats.replacing import replacing
 from ...scene.geodesy import geocentric
 from .finding import are_numbered
 from .photos import Photo, mask_path
@@ -96,20 +96,18 @@ NUMBERED_NEIGHBOURS_IN_LOOKS = 8  # for loops
 _BLOCK_ROWS = 512
 
 
-@dataclass(frozen=True)
-class Model:
+class Model(NamedTuple):
     """Model that COLMAP made. files: its photos'. depth: median depth of its points in the cameras that saw them."""
 
     folder: Path
     mapper: str
-    files: tuple[str, ...]
+    files: list[str]
     num_points: int
     error_px: float
     depth: float
 
 
-@dataclass(frozen=True)
-class Posed:
+class Posed(NamedTuple):
     """Result of posing. models: largest first. features: number by file. pairs: verified matches by pair of files."""
 
     models: list[Model]
@@ -137,13 +135,15 @@ class Posing:
             )
             features = dict(database.execute(query))
             chosen = self._pairs(database, features)
-        self._match(chosen)
+        self._ask(
+            "match", pairs=chosen, batch=str(self.work.folder / "batch.txt"),
+            report=lambda done: self.progress("pairs", done, len(chosen)),
+        )  # fmt: skip
         with reading(self._database) as database:
             pairs = verified_pairs(database)
-            files = {photo.file for photo in self.photos}
-            pairs = {pair: count for pair, count in pairs.items() if set(pair) <= files}
             # check a sample of pairs; files are named after their contents, so their order is as good as random
             photos = {photo.file: photo for photo in self.photos}
+            pairs = {pair: count for pair, count in pairs.items() if photos.keys() >= set(pair)}
             many = sorted(pair for pair, count in pairs.items() if count >= MIN_MATCHES)
             sample = []
             for pair in many[:: len(many) // MAX_CHECKED_PAIRS + 1]:
@@ -192,33 +192,19 @@ class Posing:
         photos = [photo for photo in self.photos if photo.file in features]
         numbered = are_numbered([photo.name for photo in photos])
         if len(photos) <= (MAX_EXHAUSTIVE_NUMBERED_PHOTOS if numbered else MAX_EXHAUSTIVE_PHOTOS):
-            pairs = all_pairs(len(photos))
+            pairs = set(combinations(range(len(photos)), 2))
         else:
             looks = looks_of([photo.file for photo in photos], lambda file: descriptors_of(database, file))
             alike = NUMBERED_NEIGHBOURS_IN_LOOKS if numbered else NEIGHBOURS_IN_LOOKS
-            # positions of photos in metres from the centre of the Earth; rows of NaN where they have none
-            nowhere = (np.nan, np.nan, np.nan)
-            positions = [photo.exif.position or nowhere for photo in photos]
-            pairs = pairs_in_looks(looks, alike) | pairs_in_place(
-                geocentric(
-                    np.array([(x, y, 0.0 if z is None else z) for x, y, z in positions], np.float64).reshape(-1, 3)
-                )
-            )
+            places = [photo.exif.position or (np.nan, np.nan, np.nan) for photo in photos]
+            positions = geocentric(np.array([(x, y, z or 0.0) for x, y, z in places], np.float64).reshape(-1, 3))
+            pairs = pairs_in_looks(looks, alike) | pairs_in_place(positions)
             if numbered:
                 pairs |= pairs_in_order(len(photos))
         return [(photos[i].file, photos[j].file) for i, j in sorted(pairs)]
 
-    def _match(self, pairs: list[tuple[str, str]]) -> None:
-        path = self.work.folder / "pairs.txt"
-        with replacing(path, overwrite=True) as file:
-            file.write("".join(f"{first} {second}\n" for first, second in pairs).encode())
-        self._ask(
-            "match", pairs=str(path), batch=str(self.work.folder / "batch.txt"),
-            report=lambda done: self.progress("pairs", done, len(pairs)),
-        )  # fmt: skip
-
     def _map(self, pairs: dict[tuple[str, str], int]) -> list[Model]:
-        most = len(_largest_group(pairs))
+        most = _largest_group(pairs)
         if not most:
             return []
         models = self._mapped("global", "map_globally", pairs)
@@ -247,17 +233,7 @@ class Posing:
             except ColmapFailure:
                 described = []
             self.work.remember(f"{name}.json", described)
-        models = [
-            Model(
-                folder / entry["folder"],
-                mapper,
-                tuple(entry["names"]),
-                entry["num_points"],
-                entry["error_px"],
-                entry["depth"],
-            )
-            for entry in described
-        ]
+        models = [Model(mapper=mapper, **each | {"folder": folder / each["folder"]}) for each in described]
         return sorted(models, key=lambda model: -len(model.files))
 
 
@@ -281,20 +257,16 @@ def camera_of(photo: Photo, lens: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
-    """Return the files of the largest group connected by overlaps; none without any overlap."""
+def _largest_group(pairs: dict[tuple[str, str], int]) -> int:
+    """Return the number of files of the largest group connected by overlaps; 0 without any overlap."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    files = sorted({file for pair in pairs for file in pair})
-    if not files:
-        return set()
-    index = {file: k for k, file in enumerate(files)}
-    rows, columns = np.array([[index[first], index[second]] for first, second in pairs]).T
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(files), len(files)))
-    _, labels = connected_components(graph, directed=False)
-    largest = np.bincount(labels).argmax()
-    return {file for file, label in zip(files, labels, strict=True) if label == largest}
+    if not pairs:
+        return 0
+    files, ends = np.unique(list(pairs), return_inverse=True)
+    graph = coo_array((np.ones(len(pairs)), ends.reshape(-1, 2).T), shape=(len(files), len(files)))
+    return int(np.bincount(connected_components(graph, directed=False)[1]).max())
 
 
 def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> OtherEmbeddings:
@@ -302,19 +274,17 @@ def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> OtherEm
 
     read: returns the descriptors of a photo by its key, of unit length.
     """
-    vocabulary = _vocabulary(keys, read)
-    if vocabulary is None:
-        return np.zeros((len(keys), 1), np.float32)
-    return np.stack([_look(_thinned(read(key), MAX_DESCRIPTORS), vocabulary) for key in keys])
-
-
-def _vocabulary(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Float32[np.ndarray, "w 128"] | None:
-    """Return the centres of a k-means of descriptors of all photos; None for too few descriptors."""
     each = max(1, MAX_TRAINING_DESCRIPTORS // max(len(keys), 1))
     step = max(1, len(keys) // MAX_TRAINING_DESCRIPTORS)
     sample = np.concatenate([_thinned(read(key), each) for key in keys[::step]] or [np.empty((0, 128), np.float32)])
     if len(sample) < 4 * NUM_WORDS:
-        return None
+        return np.zeros((len(keys), 1), np.float32)
+    vocabulary = _vocabulary(sample)
+    return np.stack([_look(_thinned(read(key), MAX_DESCRIPTORS), vocabulary) for key in keys])
+
+
+def _vocabulary(sample: Descriptors) -> Float32[np.ndarray, "w 128"]:
+    """Return the centres of a k-means of descriptors."""
     centres = sample[np.random.default_rng(0).choice(len(sample), NUM_WORDS, replace=False)]
     for _ in range(KMEANS_STEPS):
         nearest = _nearest(sample, centres)
@@ -343,11 +313,6 @@ def _thinned(descriptors: Descriptors, most: int) -> Descriptors:
     return descriptors[np.linspace(0, len(descriptors) - 1, min(most, len(descriptors))).astype(np.intp)]
 
 
-def all_pairs(count: int) -> set[tuple[int, int]]:
-    """Return each pair (i, j), i < j, of `count` photos."""
-    return {(i, j) for i in range(count) for j in range(i + 1, count)}
-
-
 def pairs_in_order(count: int) -> set[tuple[int, int]]:
     """Return pairs of photos that were taken soon after each other, and fewer pairs further apart."""
     steps = [*range(1, NEIGHBOURS_IN_ORDER + 1)]
@@ -372,18 +337,13 @@ def pairs_in_looks(looks: Embeddings, count: int = NEIGHBOURS_IN_LOOKS) -> set[t
     """Return pairs of photos that look alike. looks: unit vectors; rows of zeros look like nothing."""
     count = min(count + 1, len(looks))
     pairs: set[tuple[int, int]] = set()
-    for start, block in _blocks(looks):
-        alike = block @ looks.T
+    for start in range(0, len(looks), _BLOCK_ROWS):
+        alike = looks[start : start + _BLOCK_ROWS] @ looks.T
         best = np.argpartition(-alike, count - 1, axis=1)[:, :count]
-        rows, columns = np.repeat(np.arange(len(block)), count), best.reshape(-1)
+        rows, columns = np.repeat(np.arange(len(alike)), count), best.reshape(-1)
         similar = alike[rows, columns] > 0
         pairs |= _ordered(start + rows[similar], columns[similar])
     return pairs
-
-
-def _blocks(looks: Embeddings) -> Iterator[tuple[int, OtherEmbeddings]]:
-    for start in range(0, len(looks), _BLOCK_ROWS):
-        yield start, looks[start : start + _BLOCK_ROWS]
 
 
 def _ordered(first: np.ndarray, second: np.ndarray) -> set[tuple[int, int]]:

@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -36,39 +36,32 @@ def ask_colmap(task: str, log: Path, report: Report | None = None, **request: An
     Raises: InputError: the disk is full. FormatError: the database is damaged. ColmapFailure: anything else.
     """
     command = [sys.executable, "-P", "-m", f"{__package__}.worker"]
+    pipe, message = subprocess.PIPE, {}
     with (
         log.open("ab") as errors,
         subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, encoding="utf-8",
-            start_new_session=True,
+            command, stdin=pipe, stdout=pipe, stderr=errors, text=True, encoding="utf-8", start_new_session=True
         ) as process,
-    ):  # fmt: skip
+    ):
         start = errors.tell()
-        assert process.stdin is not None
-        assert process.stdout is not None
+        assert process.stdin
+        assert process.stdout
         try:
             with process.stdin as line:
                 line.write(json.dumps({"task": task, "parent": os.getpid(), **request}))
-            last = _last_line(process.stdout, report)
+            for answer in process.stdout:
+                message = json.loads(answer)
+                if "done" not in message:
+                    break
+                if report is not None:
+                    report(message["done"])
         except BrokenPipeError:
-            last = {}
+            pass
         finally:
             process.kill()
-    if "answer" in last:
-        return last["answer"]
-    raise _failure(task, last.get("error") or _last_words(log, start), log)
-
-
-def _last_line(lines: Iterable[str], report: Report | None) -> dict[str, Any]:
-    """Report progress from lines of JSON until an answer or an error, and return that line."""
-    message: dict[str, Any] = {}
-    for line in lines:
-        message = json.loads(line)
-        if report is not None and "done" in message:
-            report(message["done"])
-        if "answer" in message or "error" in message:
-            break
-    return message
+    if "answer" in message:
+        return message["answer"]
+    raise _failure(task, message.get("error") or _last_words(log, start), log)
 
 
 def _failure(task: str, message: str, log: Path) -> DrSplatError:

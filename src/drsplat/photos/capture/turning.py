@@ -11,16 +11,13 @@ Reasons why photos have no pose: one sentence for each.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from statistics import median
 from typing import TypeAlias
-from warnings import warn
 
 import numpy as np
 
 from ...base.arrays import Float64
-from ...errors import DrSplatWarning, InputError
+from ...errors import InputError, warn
 from .photos import Photo
 
 MAX_BLURRED_SHARE = 0.35  # of the median sharpness
@@ -33,7 +30,6 @@ WALK_ROUND = (
 )
 
 
-@dataclass(frozen=True)
 class Reasons:
     """Reasons why photos are not in the first of some models.
 
@@ -41,10 +37,20 @@ class Reasons:
     of each, that of the capture first.
     """
 
-    photos: Sequence[Photo]
-    features: Mapping[str, int]
-    pairs: Mapping[tuple[str, str], int]
-    models: Sequence[Sequence[str]]
+    def __init__(
+        self,
+        photos: Sequence[Photo],
+        features: Mapping[str, int],
+        pairs: Mapping[tuple[str, str], int],
+        models: Sequence[Sequence[str]],
+    ) -> None:
+        self._features = features
+        self._first = {photo.file: photo for photo in reversed(photos) if photo.fault is None}
+        self._others = {file: len(model) for model in models[1:] for file in model}
+        self._typical_sharpness = median(photo.sharpness for photo in self._first.values())
+        self._best_matches: dict[str, int] = {}
+        for pair, count in sorted(pairs.items(), key=lambda item: item[1]):
+            self._best_matches |= dict.fromkeys(pair, count)
 
     def of(self, photo: Photo) -> str:
         """Return why a photo has no pose."""
@@ -53,10 +59,10 @@ class Reasons:
         first = self._first[photo.file]
         if first.name != photo.name:
             return f"it is the same file as {first.name}"
-        if photo.file not in self.features:
+        if photo.file not in self._features:
             return "COLMAP could not read it"
-        if self.features[photo.file] < MIN_FEATURES:
-            return f"it shows hardly any texture, or is blurred: {self.features[photo.file]} features"
+        if self._features[photo.file] < MIN_FEATURES:
+            return f"it shows hardly any texture, or is blurred: {self._features[photo.file]} features"
         if photo.file in self._others:
             return f"it shows another place, together with {self._others[photo.file] - 1} other photos"
         if photo.sharpness < MAX_BLURRED_SHARE * self._typical_sharpness:
@@ -67,28 +73,6 @@ class Reasons:
         if matches < ENOUGH_MATCHES:
             return f"too little overlap or movement: at most {matches} places in common with another photo"
         return f"too little movement: {matches:,} places in common with another photo, and no depth comes of them"
-
-    @cached_property
-    def _first(self) -> dict[str, Photo]:
-        """First photo of each file."""
-        return {photo.file: photo for photo in reversed(self.photos) if photo.fault is None}
-
-    @cached_property
-    def _others(self) -> dict[str, int]:
-        """Number of photos in the model of each file that is in a model other than the first."""
-        return {file: len(model) for model in self.models[1:] for file in model}
-
-    @cached_property
-    def _typical_sharpness(self) -> float:
-        return median(photo.sharpness for photo in self._first.values())
-
-    @cached_property
-    def _best_matches(self) -> dict[str, int]:
-        best: dict[str, int] = {}
-        for pair, count in self.pairs.items():
-            for file in pair:
-                best[file] = max(count, best.get(file, 0))
-        return best
 
 
 MIN_PAIRS, MIN_MATCHES, MATCHES_PER_PAIR = 3, 30, 100
@@ -119,7 +103,7 @@ def check_moved(pairs: Sequence[Matches], from_exif: bool) -> None:
         raise InputError(f"{explained}, as if the camera turned on the spot: nothing gives a depth. {WALK_ROUND}")
     if share >= DOUBTFUL_SHARE:
         doubt = "the camera hardly moved, or straight along something flat, and the poses may be wrong"
-        warn(f"{explained}: {doubt}. {WALK_ROUND}", DrSplatWarning, stacklevel=2)
+        warn(f"{explained}: {doubt}. {WALK_ROUND}", 1)
 
 
 def turning(pairs: Sequence[Matches], from_exif: bool) -> tuple[float, bool]:

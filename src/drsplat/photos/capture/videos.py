@@ -6,14 +6,15 @@ still gives one photo, one that turns quickly gives many.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
+from scipy import ndimage
 
-from ...base.arrays import Doubles, Flags, GreyPixels, Indices, OtherPixels
+from ...base.arrays import Doubles, GreyPixels, Indices, OtherPixels
 from ...base.contents import open_file
 from ...errors import InputError, MissingExtraError, pip_install
 from ...formats.replacing import replacing
@@ -34,16 +35,14 @@ NEIGHBOURHOOD_FRAMES = 15  # to either side
 BLOCKS_ACROSS = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Film:
+class Film(NamedTuple):
     """Measurements of each frame. sharpness: see `photos.sharpness`. moved: shares of the width since the last."""
 
     sharpness: Doubles
     moved: Doubles
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
+class Choice(NamedTuple):
     """Choice of frames. frames: indices of the chosen ones. num_blurred, num_still: of unusable ones."""
 
     frames: Indices
@@ -74,23 +73,19 @@ def take_frames(video: Source, work: Work, progress: Progress) -> dict[str, int]
     if earlier is not None and earlier["video"] == key:
         return earlier["counts"]
     film = _measured(video.path, progress)
-    choice = choose(film)
-    if len(choice.frames) < 3:
-        raise InputError(_hardly_any(video.path, film, choice))
-    _write(video.path, choice, work.frames, progress)
+    frames, num_blurred, num_still = choose(film)
+    num_frames = len(film.moved)
+    if len(frames) < 3:
+        raise InputError(
+            f"{video.path}: the camera hardly moves ({num_frames} frames, {num_blurred} of them blurred): walk with it "
+            "round what you film"
+        )
+    _write(video.path, frames.tolist(), work.frames, progress)
     counts = {
-        "num_frames": len(film.moved),
-        "num_blurred": choice.num_blurred,
-        "num_still": choice.num_still,
-        "num_chosen": len(choice.frames),
-    }
+        "num_frames": num_frames, "num_blurred": num_blurred, "num_still": num_still, "num_chosen": len(frames),
+    }  # fmt: skip
     work.remember(RECORD, {"video": key, "counts": counts})
     return counts
-
-
-def _hardly_any(video: Path, film: Film, choice: Choice) -> str:
-    frames = f"{len(film.moved)} frames, {choice.num_blurred} of them blurred"
-    return f"{video}: the camera hardly moves ({frames}): walk with it round what you film"
 
 
 def _measured(video: Path, progress: Progress) -> Film:
@@ -114,26 +109,22 @@ def _measured(video: Path, progress: Progress) -> Film:
     return Film(np.array(sharp), np.array(moved))
 
 
-def _write(video: Path, choice: Choice, folder: Path, progress: Progress) -> None:
-    """Write the chosen frames as JPEG files with numbered names, upright."""
+def _write(video: Path, numbers: list[int], folder: Path, progress: Progress) -> None:
+    """Write the frames of these numbers, ascending, as JPEG files with numbered names, upright."""
     folder.mkdir(exist_ok=True)
     for old in folder.iterdir():
         old.unlink()
-    wanted = iter(choice.frames.tolist())
-    number, written = next(wanted), 0
+    written = 0
     with _opened(video) as (container, stream):
-        for index, frame in enumerate(_decoded(container, stream, video)):
-            if index < number:
+        for index, frame in enumerate(islice(_decoded(container, stream, video), numbers[-1] + 1)):
+            if index != numbers[written]:
                 continue
             picture = Image.fromarray(frame.to_ndarray(format="rgb24"))
             turned = picture.rotate(int(getattr(frame, "rotation", 0)), expand=True)
             with replacing(folder / f"frame_{index:06}.jpg") as file:
                 turned.save(file, format="JPEG", quality=JPEG_QUALITY, subsampling=0)
             written += 1
-            progress("photos of it", written, len(choice.frames))
-            number = next(wanted, -1)
-            if number < 0:
-                return
+            progress("photos of it", written, len(numbers))
 
 
 def some_frames(video: Path, count: int) -> Iterator[OtherPixels]:
@@ -188,8 +179,9 @@ def _decoded(container: Any, stream: Any, video: Path) -> Iterator[Any]:
 
 def choose(film: Film) -> Choice:
     """Choose the sharpest frame of each step of the picture's movement; steps without a sharp frame give none."""
-    path = np.cumsum(film.moved)
-    blurred = are_blurred(film.sharpness)
+    path, size = np.cumsum(film.moved), 2 * NEIGHBOURHOOD_FRAMES + 1
+    usual = ndimage.median_filter(film.sharpness, size=size, mode="nearest")  # of the frames around
+    blurred = film.sharpness < MAX_BLURRED_SHARE * usual
     usable = np.flatnonzero(~blurred)
     if not len(usable):
         return Choice(usable, int(blurred.sum()), 0)
@@ -200,13 +192,6 @@ def choose(film: Film) -> Choice:
     first = np.unique(steps[order], return_index=True)[1]
     still = int((film.moved[1:] < MAX_STILL_SHARE).sum())
     return Choice(np.sort(usable[order[first]]), int(blurred.sum()), still)
-
-
-def are_blurred(sharpness: Doubles) -> Flags:
-    """Return which frames are much less sharp than the frames around them."""
-    from scipy.ndimage import median_filter
-
-    return sharpness < MAX_BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD_FRAMES + 1, mode="nearest")
 
 
 def movement(before: GreyPixels, now: GreyPixels) -> float:

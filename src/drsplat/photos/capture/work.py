@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
-from ...formats.replacing import replacing
+from ...formats.json_files import write_json
 
 WORK, RECORD = ".work", "capture.json"
 FORMAT, VERSION = "drsplat capture", 1
@@ -30,7 +30,6 @@ class Work:
         self.record, self.log = self.folder / "photos.jsonl", self.folder / "colmap.log"
         self.new, self.frames = self.folder / "new", self.folder / "frames"
         self.undistorted = self.folder / "undistorted"
-        self.undistorted_masks = self.undistorted / "masks"
         shutil.rmtree(self.new, ignore_errors=True)  # of a run that was stopped before it was ready
         self.photos.mkdir(parents=True, exist_ok=True)
         self.masks.mkdir(exist_ok=True)
@@ -42,8 +41,7 @@ class Work:
 
     def remember(self, name: str, document: Any) -> None:
         """Write a JSON document for later runs."""
-        with replacing(self.folder / name, overwrite=True) as file:
-            file.write(json.dumps(document).encode())
+        write_json(self.folder / name, document, overwrite=True)
 
 
 def refuse_strangers(output: Path, overwrite: bool) -> None:
@@ -75,9 +73,7 @@ def publish(output: Path, unchanged: Sequence[str] = ()) -> None:
     work = output / WORK
     ready = work / READY
     if not ready.exists():
-        parts = [part for part in PARTS if part in unchanged or (work / "new" / part).exists()]
-        with replacing(ready) as file:
-            file.write(json.dumps(parts).encode())
+        write_json(ready, [part for part in PARTS if part in unchanged or (work / "new" / part).exists()])
     parts = json.loads(ready.read_text(encoding="utf-8"))
     if (work / "new" / MODEL).exists():
         _remove(output / MODEL)  # from here on there is no capture, until the new model comes last

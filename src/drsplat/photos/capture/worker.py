@@ -9,8 +9,10 @@ A line is {"done": N} as a task goes on, and at its end {"answer": ...} or {"err
 import json
 import os
 import sys
+from collections.abc import Callable
+from itertools import count
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -28,20 +30,25 @@ MIN_POINTS = 15  # that a photo has to see
 DEPTH_SAMPLE_POINTS = 2000  # for the median depth
 GLOG_ERROR_LEVEL = 2
 
+Say = Callable[..., None]
+"""Function that writes a line of JSON."""
 
-def add_cameras(request: dict[str, Any], _: TextIO) -> list[int]:
+
+def add_cameras(say: Say, database: str, cameras: list[dict[str, Any]], **_: Any) -> list[int]:
     """Write the cameras of a new database; return their ids, in order."""
-    with _database(request) as database:
-        return [database.write_camera(pycolmap.Camera(**camera)) for camera in request["cameras"]]
+    with pycolmap.Database.open(database) as opened:
+        return [opened.write_camera(pycolmap.Camera(**camera)) for camera in cameras]
 
 
-def extract(request: dict[str, Any], line: TextIO) -> None:
+def extract(
+    say: Say, database: str, images: str, groups: list[dict[str, Any]], max_side: int, threads: int, **_: Any
+) -> None:
     """Find SIFT features of the photos of each group, which share a camera; photos with features are skipped."""
     options = pycolmap.FeatureExtractionOptions()
-    options.max_image_size, options.num_threads = request["max_side"], request["threads"]
+    options.max_image_size, options.num_threads = max_side, threads
     options.sift.max_num_features = MAX_FEATURES
     done = 0
-    for group in request["groups"]:
+    for group in groups:
         reader = pycolmap.ImageReaderOptions()
         reader.existing_camera_id = group["camera_id"]
         if group["masks"]:  # where COLMAP wants one for every photo
@@ -49,97 +56,91 @@ def extract(request: dict[str, Any], line: TextIO) -> None:
         for at in range(0, len(group["names"]), BATCH_PHOTOS):
             names = group["names"][at : at + BATCH_PHOTOS]
             pycolmap.extract_features(
-                request["database"], request["images"], image_names=names, camera_mode=pycolmap.CameraMode.SINGLE,
+                database, images, image_names=names, camera_mode=pycolmap.CameraMode.SINGLE,
                 reader_options=reader, extraction_options=options, device=pycolmap.Device.cpu,
             )  # fmt: skip
             done += len(names)
-            _say(line, done=done)
+            say(done=done)
 
 
-def match(request: dict[str, Any], line: TextIO) -> None:
-    """Match and verify pairs of photos, from a file with a pair of names in each line; known pairs are skipped."""
+def match(say: Say, database: str, pairs: list[list[str]], batch: str, threads: int, **_: Any) -> None:
+    """Match and verify pairs of photos; known pairs are skipped. batch: file for the names of some at a time."""
     matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
-    matching.num_threads = request["threads"]
-    verification.ransac.random_seed = SEED
+    matching.num_threads, verification.ransac.random_seed = threads, SEED
     pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = request["batch"]
-    lines = Path(request["pairs"]).read_text(encoding="utf-8").splitlines(keepends=True)
-    for at in range(0, len(lines), BATCH_PAIRS):
-        Path(request["batch"]).write_text("".join(lines[at : at + BATCH_PAIRS]), encoding="utf-8")
+    pairing.match_list_path = batch
+    for at in range(0, len(pairs), BATCH_PAIRS):
+        some = pairs[at : at + BATCH_PAIRS]
+        Path(batch).write_text("".join(f"{first} {second}\n" for first, second in some), encoding="utf-8")
         pycolmap.match_image_pairs(
-            request["database"], matching_options=matching, pairing_options=pairing,
+            database, matching_options=matching, pairing_options=pairing,
             verification_options=verification, device=pycolmap.Device.cpu,
         )  # fmt: skip
-        _say(line, done=min(at + BATCH_PAIRS, len(lines)))
+        say(done=at + len(some))
 
 
-def map_globally(request: dict[str, Any], _: TextIO) -> list[dict[str, Any]]:
+def map_globally(say: Say, database: str, images: str, output: str, **more: Any) -> list[dict[str, Any]]:
     """Pose all photos at once (GLOMAP); return the models, written as folders below `output`."""
-    options = pycolmap.GlobalPipelineOptions()
-    options.num_threads, options.random_seed = request["threads"], SEED
-    options.min_model_size, options.image_names = MIN_PHOTOS, request["names"]
-    models = pycolmap.global_mapping(request["database"], request["images"], request["output"], options)
-    return _described(models, request["output"])
+    options = _set(pycolmap.GlobalPipelineOptions(), **more)
+    return _described(pycolmap.global_mapping(database, images, output, options), output)
 
 
-def map_incrementally(request: dict[str, Any], line: TextIO) -> list[dict[str, Any]]:
+def map_incrementally(say: Say, database: str, images: str, output: str, **more: Any) -> list[dict[str, Any]]:
     """Pose one photo after another; return the models as `map_globally`."""
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed = request["threads"], SEED
-    options.min_model_size, options.image_names = MIN_PHOTOS, request["names"]
-    posed = 0
-
-    def count() -> None:
-        nonlocal posed
-        posed += 1
-        _say(line, done=posed)
-
+    options, posed = _set(pycolmap.IncrementalPipelineOptions(), **more), count(1)
     models = pycolmap.incremental_mapping(
-        request["database"], request["images"], request["output"], options, next_image_callback=count
+        database, images, output, options, next_image_callback=lambda: say(done=next(posed))
     )
-    return _described(models, request["output"])
+    return _described(models, output)
 
 
-def undistort(request: dict[str, Any], _: TextIO) -> None:
+def _set(options: Any, threads: int, names: list[str]) -> Any:
+    options.num_threads, options.random_seed = threads, SEED
+    options.min_model_size, options.image_names = MIN_PHOTOS, names
+    return options
+
+
+def undistort(say: Say, output: str, model: str, images: str, threads: int) -> None:
     """Write a model's photos and cameras as pinholes, without black borders: `output`/images and /sparse."""
-    pycolmap.undistort_images(
-        request["output"], request["model"], request["images"], jpeg_quality=JPEG_QUALITY,
-        num_threads=request["threads"],
-    )  # fmt: skip
+    pycolmap.undistort_images(output, model, images, jpeg_quality=JPEG_QUALITY, num_threads=threads)
 
 
-def undistort_masks(request: dict[str, Any], _: TextIO) -> None:
+def undistort_masks(say: Say, output: str, model: str, masks: str) -> None:
     """Write the masks of a model's photos as pinhole masks, as `undistort` does with photos; to `output`."""
-    model = pycolmap.Reconstruction(request["model"])
-    for image in model.images.values():
-        mask = Path(request["masks"], image.name + MASK_SUFFIX)
+    posed = pycolmap.Reconstruction(model)
+    for image in posed.images.values():
+        mask = Path(masks, image.name + MASK_SUFFIX)
         picture = pycolmap.Bitmap.read(str(mask), as_rgb=False) if image.has_pose and mask.is_file() else None
         if picture is None:
             continue
-        warped = pycolmap.undistort_image(pycolmap.UndistortCameraOptions(), picture, model.cameras[image.camera_id])[0]
+        warped = pycolmap.undistort_image(pycolmap.UndistortCameraOptions(), picture, posed.cameras[image.camera_id])[0]
         white = np.where(warped.to_array() >= MIN_WHITE, np.uint8(255), np.uint8(0))
-        pycolmap.Bitmap.from_array(white).write(str(Path(request["output"], mask.name)))
+        pycolmap.Bitmap.from_array(white).write(str(Path(output, mask.name)))
 
 
-def place(request: dict[str, Any], _: TextIO) -> None:
+def place(
+    say: Say,
+    output: str,
+    model: str,
+    scale: float,
+    rotation: Any = ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    translation: Any = (0, 0, 0),
+    names: dict[str, str] | None = None,
+) -> None:
     """Write a model after a similarity of its world (scale, rotation by rows, translation), with photos renamed."""
-    model = pycolmap.Reconstruction(request["model"])
-    for image in model.images.values():
-        image.name = request["names"].get(image.name, image.name)
-    rows = [
-        [request["scale"] * part for part in row] + [shift]
-        for row, shift in zip(request["rotation"], request["translation"], strict=True)
-    ]
-    model.transform(pycolmap.Sim3d(rows))
-    Path(request["output"]).mkdir(parents=True, exist_ok=True)
-    model.write_binary(request["output"])
+    moved = pycolmap.Reconstruction(model)
+    for image in moved.images.values():
+        image.name = (names or {}).get(image.name, image.name)
+    moved.transform(pycolmap.Sim3d(np.column_stack([scale * np.array(rotation), translation])))
+    Path(output).mkdir(parents=True, exist_ok=True)
+    moved.write_binary(output)
 
 
-def look(request: dict[str, Any], _: TextIO) -> list[dict[str, Any]]:
+def look(say: Say, model: str, places: list[tuple[str, list[float]]]) -> list[dict[str, Any]]:
     """Return the ray and the points near each place; a place is a photo's name and a pixel."""
-    model = pycolmap.Reconstruction(request["model"])
-    images = {image.name: image for image in model.images.values()}
-    return [_looked(model, images[name], pixel) for name, pixel in request["places"]]
+    posed = pycolmap.Reconstruction(model)
+    images = {image.name: image for image in posed.images.values()}
+    return [_looked(posed, images[name], pixel) for name, pixel in places]
 
 
 def _looked(model: pycolmap.Reconstruction, image: pycolmap.Image, pixel: list[float]) -> dict[str, Any]:
@@ -165,7 +166,7 @@ def _described(models: dict[int, pycolmap.Reconstruction], output: str) -> list[
     return [
         {
             "folder": str(index),
-            "names": sorted(model.images[key].name for key in model.reg_image_ids()),
+            "files": sorted(model.images[key].name for key in model.reg_image_ids()),
             "num_points": model.num_points3D(),
             "error_px": model.compute_mean_reprojection_error(),
             "depth": _typical_depth(model),
@@ -181,17 +182,15 @@ def _drop_unsupported(model: pycolmap.Reconstruction) -> bool:
     Global mapping can pose a photo by its relations to others alone: without points such a pose is arbitrary.
     """
     dropped = False
-    while True:
-        weak = [
-            image.frame_id
-            for image in model.images.values()
-            if image.has_pose and sum(point.has_point3D() for point in image.points2D) < MIN_POINTS
-        ]
-        if not weak:
-            return dropped
+    while weak := [
+        image.frame_id
+        for image in model.images.values()
+        if image.has_pose and sum(point.has_point3D() for point in image.points2D) < MIN_POINTS
+    ]:
         dropped = True
         for frame in weak:
             model.deregister_frame(frame)
+    return dropped
 
 
 def _typical_depth(model: pycolmap.Reconstruction) -> float:
@@ -201,14 +200,6 @@ def _typical_depth(model: pycolmap.Reconstruction) -> float:
         seen_by = model.images[point.track.elements[0].image_id]
         depths.append(float((seen_by.cam_from_world() * point.xyz)[2]))
     return sorted(depths)[len(depths) // 2] if depths else 0.0
-
-
-def _database(request: dict[str, Any]) -> Any:
-    return pycolmap.Database.open(request["database"])
-
-
-def _say(line: TextIO, **message: Any) -> None:
-    print(json.dumps(message), file=line, flush=True)
 
 
 TASKS = {
@@ -225,10 +216,16 @@ def main() -> None:
     end_with(request["parent"])
     pycolmap.logging.minloglevel = GLOG_ERROR_LEVEL
     pycolmap.set_random_seed(SEED)
+    task: Any = TASKS[request["task"]]
+    arguments = {name: value for name, value in request.items() if name not in ("task", "parent")}
+
+    def say(**message: Any) -> None:
+        print(json.dumps(message), file=line, flush=True)
+
     try:
-        _say(line, answer=TASKS[request["task"]](request, line))
+        say(answer=task(say, **arguments))
     except Exception as error:  # any error of COLMAP is reported in one line
-        _say(line, error=f"{type(error).__name__}: {error}")
+        say(error=f"{type(error).__name__}: {error}")
 
 
 if __name__ == "__main__":

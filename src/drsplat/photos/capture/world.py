@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,8 +27,6 @@ RANSAC_SAMPLE = 4
 REFIT_ROUNDS = 5
 MAX_GRAVITY_SPREAD_DEGREES = 10.0  # median angle to the mean
 DEFAULT_MEDIAN_DEPTH = 4.0  # units from a camera to the points it sees, where the scale is unknown
-
-Rotation = Matrix3
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,19 @@ def world_of(views: Sequence[View], facts: Mapping[str, ExifFacts], depth: float
 
     views: posed by COLMAP. facts: by their names. depth: median depth of the points in the cameras that saw them.
     """
-    rotation, up_from = _upright(views, facts)
+    up, up_from = _gravity_up(views, facts), "gravity"
+    if up is None:
+        up_from = ""
+        with suppress(InputError):
+            up, up_from = upward(views), "horizons"
+    rotation = np.eye(3)
+    if up is not None:  # `up` is +z, and the first camera's right +x
+        across = max(
+            (axis - (axis @ up) * up for axis in views[0].cam_from_world[:3, :3]),
+            key=lambda axis: float(np.linalg.norm(axis)),
+        )
+        right = across / np.linalg.norm(across)
+        rotation = np.stack([right, np.cross(up, right), up])
     fit = _gps_fit(views, facts, rotation)
     if fit is not None:
         return fit if fit.up_from else replace(fit, up_from=up_from)
@@ -69,17 +80,6 @@ def with_scale(world: World, factor: float, source: str) -> World:
     return replace(world, similarity=similarity, unit="m", scale_from=source, scale_factor=factor)
 
 
-def _upright(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> tuple[Rotation, str]:
-    """Return a rotation to a world whose +z is up, and the source of that direction."""
-    up = _gravity_up(views, facts)
-    if up is not None:
-        return upright_rotation(up, views), "gravity"
-    try:
-        return upright_rotation(upward(views), views), "horizons"
-    except InputError:
-        return np.eye(3), ""
-
-
 def _gravity_up(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> Vector3 | None:
     """Return the mean upward direction of the photos' accelerometers; None where they disagree or are missing."""
     downs = [(view, facts[view.name].down) for view in views]
@@ -92,15 +92,7 @@ def _gravity_up(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> Vector
     return mean if spread <= MAX_GRAVITY_SPREAD_DEGREES else None
 
 
-def upright_rotation(up: Vector3, views: Sequence[View]) -> Rotation:
-    """Return the rotation that maps `up` to +z, and the first camera's right to +x."""
-    axes = [view.cam_from_world[row, :3] for view in views[:1] for row in (0, 1, 2)]
-    across = max((axis - (axis @ up) * up for axis in axes), key=lambda axis: float(np.linalg.norm(axis)))
-    right = across / np.linalg.norm(across)
-    return np.stack([right, np.cross(up, right), up])
-
-
-def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rotation) -> World | None:
+def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Matrix3) -> World | None:
     """Return the world in metres east, north and up; None where GPS is missing or coarser than the scene."""
     placed = [view for view in views if (at := facts[view.name].position) is not None and at[2] is not None]
     if len(placed) < MIN_GPS_PHOTOS:

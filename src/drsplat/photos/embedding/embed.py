@@ -12,12 +12,11 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
-from warnings import warn
 
 import numpy as np
 
 from ...base.arrays import Embeddings, LevelMaskIds, Pixels
-from ...errors import DrSplatWarning, InputError
+from ...errors import InputError, warn
 from ...field.codes import Track, untracked
 from ...formats.embedding_record import EmbeddingRecord, Form, open_record, read_record
 from ...formats.langsplat import FeatureFolder, stored_features, write_features
@@ -114,16 +113,17 @@ def embed(
         rasters, max_height = _with_masks(rasters, segmenter), None
     settings = settings_of(segmenter, encoder, max_height) | pictures_setting(views)
     with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:
-        _warn_of_changes(record)
-        photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
-        if isinstance(segmenter, FeatureFolder):
-            photos = {stem: f"{photo} {masks_hash(segmenter, stem)}" for stem, photo in photos.items()}
-        else:
-            photos = {stem: photo + _mask_identity(rasters[stem]) for stem, photo in photos.items()}
+        if record.changes:
+            changes = "; ".join(record.changes)
+            warn(f"{record.folder} was made with other settings, so all photos are embedded again: {changes}", 2)
+        photos = {stem: _identity(view, stem, segmenter) for stem, view in rasters.items()}
         pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
         redone = sum(record.has_files(stem) for stem in pending)
         for stem in sorted(photos.keys() - pending):
-            _rewrite(record, stem, form)
+            entry = record.finished[stem]
+            if entry.form != form:
+                stored = stored_features(record.folder, stem, entry.form)
+                _store(record, stem, entry.photo, _Embedded(*stored, entry.masks, entry.empty_masks), form)
         with closing(_all_embedded(rasters, pending, segmenter, encoder)) as embedded:
             for stem, features in zip(track(pending, "embedding photos"), embedded, strict=True):
                 _store(record, stem, photos[stem], features, form)
@@ -161,23 +161,29 @@ def recorded_renderings(folder: str | Path) -> list[str]:
 
 def finish_folder(record: EmbeddingRecord, encoder: ImageEncoder) -> None:
     """Write the words that queries are contrasted with, and warn of files with other settings."""
-    _record_words(record.folder, encoder)
-    _warn_of_leftovers(record)
+    if isinstance(encoder, Encoder) and not hasattr(encoder, "nouns"):  # built-in ones can be loaded at any time
+        names, vectors = known_words(encoder, broad_list())
+        words = VocabularyEncoder(encoder.identity, names, vectors)
+        write_vocabulary(record.folder / WORD_LIST, words, overwrite=True)
+    leftovers = record.unfinished()
+    if leftovers:
+        warn(
+            f"{record.folder} still has files of {len(leftovers)} photos that are not among these "
+            f"views and were made otherwise: remove them, or registering mixes them in: {listed(leftovers)}",
+            2,
+        )
 
 
 def report_of(record: EmbeddingRecord, stems: Sequence[str], num_embedded: int, redone: int) -> EmbeddingReport:
-    """Return the report of a folder. num_embedded: photos of this run."""
-    masks, empty_masks = _totals(record, stems)
+    """Return the report of a folder, and warn if no photo has a mask. num_embedded: photos of this run."""
+    finished = [record.finished[stem] for stem in stems]
+    counts = {level: sum(photo.masks.get(level, 0) for photo in finished) for level in LEVELS}
+    masks = {level: count for level, count in counts.items() if count}
+    if not masks:
+        warn(f"no mask was found in any of {len(stems)} photos: there is nothing to register", 3)
+    empty_masks = sum(photo.empty_masks for photo in finished)
     crops = sum(masks.values())
     return EmbeddingReport(len(stems), len(stems) - num_embedded, redone, masks, crops, empty_masks, record.changes)
-
-
-def _record_words(folder: Path, encoder: ImageEncoder) -> None:
-    """Embed the word list while the model is loaded. Built-in encoders can be loaded at any time."""
-    if not isinstance(encoder, Encoder) or hasattr(encoder, "nouns"):
-        return
-    names, vectors = known_words(encoder, broad_list())
-    write_vocabulary(folder / WORD_LIST, VocabularyEncoder(encoder.identity, names, vectors), overwrite=True)
 
 
 def photos_by_stem(views: Sequence[View]) -> dict[str, View]:
@@ -199,8 +205,7 @@ def photos_by_stem(views: Sequence[View]) -> dict[str, View]:
     if not by_stem:
         raise InputError(f"none of {len(views)} views has a photo: read them with images=FOLDER")
     if without:
-        text = f"{len(without)} of {len(views)} views have no photo to embed: {listed(without)}"
-        warn(text, DrSplatWarning, stacklevel=4)
+        warn(f"{len(without)} of {len(views)} views have no photo to embed: {listed(without)}", 3)
     return by_stem
 
 
@@ -212,18 +217,15 @@ def _raster(view: View, max_height: int | None) -> View:
     return stored.resized(max(1, view.width * max_height // view.height), max_height)
 
 
-def _photo_identity(view: View) -> str:
-    """Return a hash of a photo's bytes, followed by the raster it is read at."""
-    if view.image_path is None:
-        raise InputError(f"view '{view.name}' has no photo")
-    return f"{hash_file(view.image_path)} {view.width}x{view.height}"
-
-
-def _mask_identity(view: View) -> str:
-    """Return a space and a hash of the bytes of a photo's mask, or an empty text without a mask."""
+def _identity(view: View, stem: str, segmenter: Segmenter | FeatureFolder) -> str:
+    """Return the hashes of a photo and of its mask, or of the masks that are kept, and the raster it is read at."""
+    assert view.image_path is not None
+    photo = f"{hash_file(view.image_path)} {view.width}x{view.height}"
+    if isinstance(segmenter, FeatureFolder):
+        return f"{photo} {masks_hash(segmenter, stem)}"
     if view.mask_path is None:
-        return ""
-    return f" {hash_file(view.mask_path)}{' inverted' if view.mask_inverted else ''}"
+        return photo
+    return f"{photo} {hash_file(view.mask_path)}{' inverted' if view.mask_inverted else ''}"
 
 
 class _Embedded(NamedTuple):
@@ -242,8 +244,7 @@ def _with_masks(rasters: Mapping[str, View], folder: FeatureFolder) -> dict[str,
     if not with_masks:
         raise InputError(f"{folder.directory}: no photo has masks there: photos are named like '{missing[0]}'")
     if missing:
-        text = f"{len(missing)} of {len(rasters)} photos have no masks in {folder.directory}: {listed(missing)}"
-        warn(text, DrSplatWarning, stacklevel=4)
+        warn(f"{len(missing)} of {len(rasters)} photos have no masks in {folder.directory}: {listed(missing)}", 3)
     return with_masks
 
 
@@ -268,14 +269,8 @@ def _features(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encod
         levels = kept_masks(levels, used)
     maps = mask_maps(levels)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
-    # count the masks of each level that the segmenter returned
-    ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
-    return _Embedded(
-        maps.mask_ids,
-        _embeddings(image, maps.masks, encoder, view.name),
-        {level: len(np.unique(level_ids[level_ids >= 0])) for level, level_ids in ids.items()},
-        empty,
-    )
+    counts = {level: count for level, count in level_counts(maps.mask_ids).items() if level in levels}
+    return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), counts, empty)
 
 
 def finish_photo(
@@ -295,14 +290,6 @@ def _store(record: EmbeddingRecord, stem: str, photo: str, features: _Embedded, 
     record.add(stem, photo, features.counts, features.empty, form)
 
 
-def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
-    """Rewrite a finished photo's files in this form, if they are in the other."""
-    entry = record.finished[stem]
-    if entry.form != form:
-        stored = stored_features(record.folder, stem, entry.form)
-        _store(record, stem, entry.photo, _Embedded(*stored, entry.masks, entry.empty_masks), form)
-
-
 def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -> Embeddings:
     dim = encoder.identity.dim
     if len(masks) == 0:
@@ -314,35 +301,6 @@ def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -
             f"expected as many finite unit vectors of {dim} numbers"
         )
     return rows
-
-
-def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, int], int]:
-    """Return the sums of photos' masks by level and of their empty masks; warn if there is no mask."""
-    finished = [record.finished[stem] for stem in stems]
-    counts = {level: sum(photo.masks.get(level, 0) for photo in finished) for level in LEVELS}
-    masks = {level: count for level, count in counts.items() if count}
-    if not masks:
-        text = f"no mask was found in any of {len(stems)} photos: there is nothing to register"
-        warn(text, DrSplatWarning, stacklevel=5)
-    return masks, sum(photo.empty_masks for photo in finished)
-
-
-def _warn_of_changes(record: EmbeddingRecord) -> None:
-    if record.changes:
-        text = f"{record.folder} was made with other settings, so all photos are embedded again: " + "; ".join(
-            record.changes
-        )
-        warn(text, DrSplatWarning, stacklevel=4)
-
-
-def _warn_of_leftovers(record: EmbeddingRecord) -> None:
-    leftovers = record.unfinished()
-    if leftovers:
-        text = (
-            f"{record.folder} still has files of {len(leftovers)} photos that are not among these "
-            f"views and were made otherwise: remove them, or registering mixes them in: {listed(leftovers)}"
-        )
-        warn(text, DrSplatWarning, stacklevel=4)
 
 
 @runtime_checkable

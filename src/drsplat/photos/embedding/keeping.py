@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from scipy.ndimage import find_objects
 
-from ...base.arrays import Embeddings, Float32, Int32, LevelMaskIds, OtherPixels, Pixels, WholeNumbers
+from ...base.arrays import Embeddings, Float32, LevelMaskIds, OtherPixels, Pixels, WholeNumbers
 from ...errors import MismatchError
 from ...formats.langsplat import FeatureFolder
 from ...formats.tensors import hash_file
@@ -74,11 +74,21 @@ def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[LevelMaskId
 
 def embedded_again(mask_ids: LevelMaskIds, view: View, encoder: ImageEncoder) -> Embeddings:
     """Embed existing masks: one row per mask id, zero where a mask has no pixel, which nothing reads."""
-    rows, masks = _cut_out(mask_ids if mask_ids.ndim == 3 else mask_ids[None])
+    levels = mask_ids if mask_ids.ndim == 3 else mask_ids[None]
+    # each mask is cut out of the largest level that has it: what is below has parts of it
+    cutouts: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
+    for ids in levels[::-1]:
+        for number, place in enumerate(find_objects(ids + 1)):
+            if place is not None and number not in cutouts:
+                y, x = place
+                cutouts[number] = ((x.start, y.start, x.stop, y.stop), ids[place] == number)
     embeddings = np.zeros((int(mask_ids.max(initial=-1)) + 1, encoder.identity.dim), np.float32)
-    if len(rows):
-        image: Pixels = load_image(view)
-        embeddings[rows] = mask_rows(image, masks, encoder)
+    if cutouts:
+        rows = sorted(cutouts)
+        boxes, parts = zip(*(cutouts[row] for row in rows), strict=True)
+        _, height, width = levels.shape
+        masks = Masks(height, width, np.array(boxes, np.int32), parts, np.ones(len(rows), np.float32))
+        embeddings[rows] = mask_rows(load_image(view), masks, encoder)
     return embeddings
 
 
@@ -87,20 +97,6 @@ def level_counts(mask_ids: LevelMaskIds) -> dict[str, int]:
     if mask_ids.ndim == 2:
         return {LEVELS[-1]: len(np.unique(mask_ids[mask_ids >= 0]))}
     return {level: len(np.unique(ids[ids >= 0])) for level, ids in zip(LEVELS, mask_ids, strict=True)}
-
-
-def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
-    """Return the ids that have pixels, each cut out of the largest level that has it: what is below has parts of it."""
-    cutouts: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
-    for ids in levels[::-1]:
-        for number, place in enumerate(find_objects(ids + 1)):
-            if place is not None and number not in cutouts:
-                y, x = place
-                cutouts[number] = ((x.start, y.start, x.stop, y.stop), ids[place] == number)
-    rows = sorted(cutouts)
-    boxes = np.array([cutouts[row][0] for row in rows], np.int32).reshape(-1, 4)
-    parts = tuple(cutouts[row][1] for row in rows)
-    return rows, Masks(levels.shape[1], levels.shape[2], boxes, parts, np.ones(len(rows), np.float32))
 
 
 @runtime_checkable

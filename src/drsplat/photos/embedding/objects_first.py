@@ -83,7 +83,13 @@ def embed_objects(
         views, parts / MASKS, segmenter, WithoutEmbedding(), max_height=max_height, overwrite=overwrite, track=track
     )  # fmt: skip
     masks = read_features(parts / MASKS)
-    _check_level(masks)
+    for name in masks:
+        mask_ids = masks.stored(name)[0]
+        if mask_ids.ndim == 3 and (mask_ids != mask_ids[-1]).any():
+            raise InputError(
+                "crops of objects are of one level of masks, and these have four: take a segmenter that gives the "
+                "large ones alone, or embed each mask"
+            )
     by_stem = {stem: view for view in views if (stem := masks.key(view.name)) is not None}
     settings = {
         "segmenter": kept_identity(masks)["kept"],
@@ -108,17 +114,6 @@ def embed_objects(
     finished = read_record(parts / CROPS)
     crops = sum(photo.masks.get("large", 0) for photo in finished.finished.values()) if finished else 0
     return replace(report_of(record, list(by_stem), len(pending), redone), crops=crops)
-
-
-def _check_level(masks: FeatureFolder) -> None:
-    """Check the masks. Raises: InputError: several levels, of which only one is registered."""
-    for name in masks:
-        mask_ids = masks.stored(name)[0]
-        if mask_ids.ndim == 3 and (mask_ids != mask_ids[-1]).any():
-            raise InputError(
-                "crops of objects are of one level of masks, and these have four: take a segmenter that gives the "
-                "large ones alone, or embed each mask"
-            )
 
 
 def _digest(masks: FeatureFolder, by_stem: Mapping[str, View]) -> str:
@@ -162,9 +157,8 @@ def _vectors(
     for stem, numbers in columns.items():
         crop_rows[numbers[is_chosen[numbers]]] = crops.stored(stem)[1][chosen[stem]]
     rows = shared.embeddings(crop_rows[shared.chosen])
-    vectors = {}
+    vectors = {stem: np.zeros((len(masks.stored(stem)[1]), rows.shape[1]), np.float32) for stem in columns}
     for stem, numbers in columns.items():
-        vectors[stem] = np.zeros((len(masks.stored(stem)[1]), rows.shape[1]), np.float32)
         vectors[stem][ids[stem]] = rows[numbers]
     return vectors
 
@@ -207,8 +201,16 @@ def share_crops(
     ids = np.flatnonzero(np.diff(evidence.weights.indptr))
     with_weight = evidence.rows(ids)
     tree = find_tree(with_weight, gaussians, ids.astype(np.uint32), views, threads=threads)
-    node_of, fit = _best_nodes(node_fits(node_weights(with_weight, tree), with_weight))
-    worth, centers = fit * _column_sums(with_weight), _camera_centers(with_weight, views)
+    fits = node_fits(node_weights(with_weight, tree), with_weight)
+    # the node that each mask fits best, -1 where none by more than MIN_FIT
+    nodes = entry_rows(fits)
+    order = np.lexsort((nodes, -fits.data, fits.indices))
+    masks_with_fit, first = np.unique(fits.indices[order], return_index=True)
+    node_of, fit = np.full(fits.shape[1], -1), np.zeros(fits.shape[1])
+    node_of[masks_with_fit], fit[masks_with_fit] = nodes[order[first]], fits.data[order[first]]
+    node_of[fit <= MIN_FIT] = -1
+    worth, by_name = fit * _column_sums(with_weight), {view.name: view.center for view in views}
+    centers = np.array([by_name[name] for name in evidence.masks.view_names]).reshape(-1, 3)[evidence.masks.views]
     (alone,) = np.nonzero(node_of < 0)
     rows, columns, data = [alone], [alone], [np.ones(len(alone))]
     for masks in _groups(node_of):
@@ -239,24 +241,6 @@ def node_fits(inside: csr_array, evidence: Evidence) -> csr_array:
 def _column_sums(evidence: Evidence) -> Doubles:
     weights = evidence.weights
     return np.bincount(weights.indices, weights.data, weights.shape[1])
-
-
-def _camera_centers(evidence: Evidence, views: Sequence[View]) -> Points:
-    """Return the centre of the camera of each column."""
-    by_name = {view.name: view.center for view in views}
-    centers = np.array([by_name[name] for name in evidence.masks.view_names], np.float64).reshape(-1, 3)
-    return centers[evidence.masks.views]
-
-
-def _best_nodes(fits: csr_array) -> tuple[Indices, Doubles]:
-    """Return for each mask the node that it fits best, -1 where none by more than MIN_FIT, and the fit."""
-    nodes = entry_rows(fits)
-    order = np.lexsort((nodes, -fits.data, fits.indices))
-    columns, first = np.unique(fits.indices[order], return_index=True)
-    node_of, fit = np.full(fits.shape[1], -1), np.zeros(fits.shape[1])
-    node_of[columns], fit[columns] = nodes[order[first]], fits.data[order[first]]
-    node_of[fit <= MIN_FIT] = -1
-    return node_of, fit
 
 
 def _groups(node_of: OtherIndices) -> list[Indices]:

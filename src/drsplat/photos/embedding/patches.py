@@ -11,17 +11,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
-from warnings import warn
 
 import numpy as np
 
 from ...base.arrays import Embeddings, Pixels
-from ...errors import DrSplatWarning, InputError, MismatchError
+from ...errors import InputError, MismatchError, warn
 from ...field.codes import Track, untracked
-from ...formats.json_files import read_json
+from ...formats.json_files import read_json, write_json
 from ...formats.lvis import AnnotatedPhoto, Annotations, Instance
 from ...formats.photo_files import listed
-from ...formats.replacing import replacing
 from ...scene.encoders import EncoderIdentity, ImageEncoder, identity_json
 from ...scene.masks.masks import Masks, cut_masks
 from ...scene.photos import load_image, photo_size
@@ -34,8 +32,7 @@ MIN_AREA_PIXELS = 100
 Source: SAM's min_mask_region_area as LangSplat sets it."""
 
 
-@dataclass(frozen=True)
-class PhotoPatches:
+class PhotoPatches(NamedTuple):
     """Wanted instances of one photo, and the photo's path."""
 
     photo: AnnotatedPhoto
@@ -61,13 +58,6 @@ class PatchSource:
         return sum(len(photo.instances) for photo in self.photos)
 
 
-class Patches(NamedTuple):
-    """Photo with the masks of its wanted instances."""
-
-    image: Pixels
-    masks: Masks
-
-
 class EmbeddedPatches(NamedTuple):
     """Embedded patches. embeddings: a row each, on disk. too_small: instances whose mask is below MIN_AREA_PIXELS."""
 
@@ -83,7 +73,7 @@ def find_patches(annotations: Annotations, images: str | Path, limit: int | None
     Warns: DrSplatWarning: photos that are missing.
     Raises: InputError: all photos are missing, or no instance is large enough.
     """
-    paths = _find_photos(annotations, Path(images))
+    paths, missing = _find_photos(annotations, Path(images))
     usable = [
         place
         for place, instance in enumerate(annotations.instances)
@@ -105,11 +95,10 @@ def find_patches(annotations: Annotations, images: str | Path, limit: int | None
         PhotoPatches(annotations.photos[number], paths[number], tuple(instances))
         for number, instances in by_photo.items()
     )
-    missing = _missing(annotations, paths)
     return PatchSource(annotations, photos, missing, left_out)
 
 
-def patches(source: PatchSource, photos: Sequence[PhotoPatches]) -> Iterator[Patches]:
+def patches(source: PatchSource, photos: Sequence[PhotoPatches]) -> Iterator[tuple[Pixels, Masks]]:
     """Yield each photo with the masks of its instances; each photo is opened once.
 
     Instances whose mask has fewer than MIN_AREA_PIXELS pixels are left out.
@@ -117,7 +106,18 @@ def patches(source: PatchSource, photos: Sequence[PhotoPatches]) -> Iterator[Pat
     Raises: MismatchError: a photo of another size than annotated. FormatError: a damaged photo, a mask
     that does not fit its photo.
     """
-    return (_patches_of(source.annotations, wanted) for wanted in photos)
+    for photo, path, instances in photos:
+        width, height = photo_size(path)
+        if (width, height) != (photo.width, photo.height):
+            raise MismatchError(
+                f"{path}: the photo is {width}x{height}, annotated at {photo.width}x{photo.height}: use "
+                "the photos that the annotations were made on"
+            )
+        image = load_image(View(photo.name, np.eye(3), np.eye(4), width, height, path))
+        full = [source.annotations.mask(instance) for instance in instances]
+        large = [mask for mask in full if np.count_nonzero(mask) >= MIN_AREA_PIXELS]
+        stacked = np.stack(large) if large else np.empty((0, height, width), bool)
+        yield image, cut_masks(stacked, np.ones(len(large), np.float32))
 
 
 def embed_patches(
@@ -132,65 +132,45 @@ def embed_patches(
     folder.mkdir(parents=True, exist_ok=True)
     rows_path, progress_path = folder / "embeddings.npy", folder / "progress.json"
     key, shape = _key(source, encoder.identity), (source.num_wanted, encoder.identity.dim)
-    done, filled = _progress(progress_path, key)
-    resumes = done and rows_path.is_file()
+    earlier = read_json(progress_path) if progress_path.is_file() and rows_path.is_file() else None
+    resumes = isinstance(earlier, dict) and earlier.get("key") == key
+    done, filled = (int(earlier[name]) for name in ("photos", "rows")) if resumes else (0, 0)  # type: ignore[index]
     rows = np.lib.format.open_memmap(rows_path, "r+" if resumes else "w+", np.float32, shape)
-    done, filled = (done, filled) if resumes else (0, 0)
-    num_instances = sum(len(photo.instances) for photo in source.photos[:done])
     following = source.photos[done:]
     steps = track(range(len(following)), "embedding patches")
-    for _, photo, (image, masks) in zip(steps, following, patches(source, following), strict=True):
+    for _, (image, masks) in zip(steps, patches(source, following), strict=True):
         if len(masks):
             rows[filled : filled + len(masks)] = mask_rows(image, masks, encoder)
-        done, filled, num_instances = done + 1, filled + len(masks), num_instances + len(photo.instances)
-        with replacing(progress_path, overwrite=True) as file:
-            file.write(json.dumps({"key": key, "photos": done, "rows": filled}).encode())
+        done, filled = done + 1, filled + len(masks)
+        write_json(progress_path, {"key": key, "photos": done, "rows": filled}, overwrite=True)
     if not filled:
-        raise InputError(f"none of {num_instances} patches has {MIN_AREA_PIXELS} pixels or more: give larger ones")
-    return EmbeddedPatches(rows[:filled], num_instances - filled)
+        raise InputError(f"none of {source.num_wanted} patches has {MIN_AREA_PIXELS} pixels or more: give larger ones")
+    return EmbeddedPatches(rows[:filled], source.num_wanted - filled)
 
 
-def _find_photos(annotations: Annotations, folder: Path) -> dict[int, Path]:
-    """Return the paths of existing photos that have instances, by id."""
+def _find_photos(annotations: Annotations, folder: Path) -> tuple[dict[int, Path], tuple[str, ...]]:
+    """Return the paths of existing photos that have instances, by id, and the names of those that are missing."""
     if not folder.is_dir():
         raise InputError(f"images: there is no folder '{folder}'")
     paths: dict[int, Path] = {}
+    missing: list[str] = []
     for number in dict.fromkeys(instance.photo for instance in annotations.instances):
         name = annotations.photos[number].name
         candidates = (folder / name, folder / PurePosixPath(name).name)
         photo = next((path for path in candidates if path.is_file()), None)
         if photo is not None:
             paths[number] = photo
-    missing = _missing(annotations, paths)
+        else:
+            missing.append(name)
     if missing and not paths:
         raise InputError(
             f"{folder}: none of the {len(missing)} annotated photos is there, e.g. "
-            f"{listed(list(missing), 3)}: give the folder that they lie in, or that above the split's"
+            f"{listed(missing, 3)}: give the folder that they lie in, or that above the split's"
         )
     if missing:
-        text = f"{folder}: {len(missing)} of {len(missing) + len(paths)} annotated photos are missing: "
-        warn(text + listed(list(missing)), DrSplatWarning, stacklevel=4)
-    return paths
-
-
-def _missing(annotations: Annotations, paths: dict[int, Path]) -> tuple[str, ...]:
-    wanted = dict.fromkeys(instance.photo for instance in annotations.instances)
-    return tuple(annotations.photos[number].name for number in wanted if number not in paths)
-
-
-def _patches_of(annotations: Annotations, wanted: PhotoPatches) -> Patches:
-    photo, path = wanted.photo, wanted.path
-    size = photo_size(path)
-    if size != (photo.width, photo.height):
-        raise MismatchError(
-            f"{path}: the photo is {size[0]}x{size[1]}, annotated at {photo.width}x{photo.height}: use "
-            "the photos that the annotations were made on"
-        )
-    image = load_image(View(photo.name, np.eye(3), np.eye(4), photo.width, photo.height, path))
-    full = [annotations.mask(instance) for instance in wanted.instances]
-    large = [mask for mask in full if np.count_nonzero(mask) >= MIN_AREA_PIXELS]
-    stacked = np.stack(large) if large else np.empty((0, photo.height, photo.width), bool)
-    return Patches(image, cut_masks(stacked, np.ones(len(large), np.float32)))
+        count = len(missing) + len(paths)
+        warn(f"{folder}: {len(missing)} of {count} annotated photos are missing: {listed(missing)}", 3)
+    return paths, tuple(missing)
 
 
 def _key(source: PatchSource, encoder: EncoderIdentity) -> str:
@@ -205,11 +185,3 @@ def _key(source: PatchSource, encoder: EncoderIdentity) -> str:
         [[stat.st_size, stat.st_mtime_ns] for stat in stats],
     ]
     return hashlib.blake2b(json.dumps(facts).encode(), digest_size=16).hexdigest()
-
-
-def _progress(path: Path, key: str) -> tuple[int, int]:
-    """Return the photos done and rows filled by an earlier run with the same key."""
-    document = read_json(path) if path.is_file() else None
-    if not isinstance(document, dict) or document.get("key") != key:
-        return 0, 0
-    return int(document["photos"]), int(document["rows"])

@@ -9,12 +9,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from warnings import warn
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...errors import DrSplatWarning, FormatError, InputError
+from ...errors import InputError, warn
 from ...field import LanguageField
 from ...field.codes import Track, untracked
 from ...field.evidence.aggregation import Sampling
@@ -76,8 +75,7 @@ def vote_for_objects(
             ", or find its objects again without votes"
         )
     if silent:
-        text = f"{len(silent)} photos of the field do not vote, as they are neither given nor kept: {listed(silent)}"
-        warn(text, DrSplatWarning, stacklevel=2)
+        warn(f"{len(silent)} photos of the field do not vote, as they are neither given nor kept: {listed(silent)}", 1)
     found = find_tree(field.evidence, gaussians, field.gaussian_ids, cameras_of(field), threads=threads)
     voted = with_voted(found, electorate.votes)
     return replace(describe(field, gaussians, voted, threads=threads), votes=VOTED)
@@ -95,13 +93,25 @@ class _Electorate:
     def names(self) -> list[str]:
         """Photos of the field that are kept whole, in its order."""
         assert self.field.evidence is not None
-        return [name for name in self.field.evidence.masks.view_names if self._is_kept(name)]
+        kept = []
+        for name in self.field.evidence.masks.view_names:
+            regions, columns = self._paths(name)
+            if is_finished(regions, self._marks) and is_finished(columns, {"view": name}):
+                kept.append(name)
+        return kept
 
     def look(self, views: Sequence[View], track: Track) -> None:
         """Look at the photos that are not kept, or are others now; before `names` are asked for."""
         self.folder.mkdir(parents=True, exist_ok=True)
         for view in track(views, "regions of photos"):
-            tree = self._tree(view)
+            assert view.image_path is not None
+            path, columns = self._paths(view.name)
+            marks = self._marks | {"photo": hash_file(view.image_path)}
+            if not is_finished(path, marks):
+                columns.unlink(missing_ok=True)  # those of other regions
+                tree = region_tree(load_image(replace(view, distortion=None)), both=True, threads=self.threads)
+                write_tensors(path, vars(tree), marks, overwrite=True)
+            tree = RegionTree(**read_tensors(path)[0])
             height, width = tree.labels.shape
             features = ViewFeatures(tree.labels, np.ones((len(tree), 1), np.float32))
             self.maker.columns(view.resized(width, height), features)
@@ -109,27 +119,13 @@ class _Electorate:
     def votes(self) -> Iterator[Vote]:
         for name in self.names:
             regions, columns = self._paths(name)
-            tree = _read(regions)
+            tree = RegionTree(**read_tensors(regions)[0])
             triples = Columns(name, columns, np.empty((0, 1), np.float32), b"").triples()
             rows = self.field.rows_of(triples.gaussian_ids)
             known = rows >= 0
             places = rows[known], triples.mask_ids[known].astype(np.int32)
             shape = len(self.field), len(tree)
             yield Vote(name, tree, csr_array((triples.weights[known], places), shape=shape))
-
-    def _tree(self, view: View) -> RegionTree:
-        assert view.image_path is not None
-        path, columns = self._paths(view.name)
-        marks = self._marks | {"photo": hash_file(view.image_path)}
-        if not is_finished(path, marks):
-            columns.unlink(missing_ok=True)  # those of other regions
-            tree = region_tree(load_image(replace(view, distortion=None)), both=True, threads=self.threads)
-            write_tensors(path, vars(tree), marks, overwrite=True)
-        return _read(path)
-
-    def _is_kept(self, name: str) -> bool:
-        regions, columns = self._paths(name)
-        return is_finished(regions, self._marks) and is_finished(columns, {"view": name})
 
     @property
     def _marks(self) -> dict[str, str]:
@@ -138,10 +134,3 @@ class _Electorate:
     def _paths(self, name: str) -> tuple[Path, Path]:
         columns = self.folder / part_name(name)
         return columns.with_name(columns.name.replace(".columns.", ".regions.")), columns
-
-
-def _read(path: Path) -> RegionTree:
-    try:
-        return RegionTree(**read_tensors(path)[0])
-    except TypeError:
-        raise FormatError(f"{path}: not the regions of a photo: remove the file") from None

@@ -1,5 +1,6 @@
 """Masks embedded by the patches that they cover: one pass over a photo, without cutting masks out."""
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -29,19 +30,14 @@ class DensePatchEncoder(TransformersEncoder):
 
         Raises: FormatError: a vector without direction. DrSplatError: the image does not fit into memory.
         """
-        patches = fitting(self._image_patches, [image], "photos")[0][0]
+        with import_module("torch").inference_mode():
+            ((patches,),) = fitting(lambda images: self._patch_rows(self._scaled(images)), [image], "photos")
         along = self.preprocessing.side // self._vision.patch_size
         shares = [coverage(masks, row, along) for row in range(len(masks))]
         return self._unit([share.reshape(1, -1) @ patches for share in shares], "mask")
 
     def _features(self, values: Any) -> np.ndarray:
         return self._patch_rows(values).mean(1)
-
-    def _image_patches(self, images: list[np.ndarray]) -> np.ndarray:
-        from torch import inference_mode
-
-        with inference_mode():
-            return self._patch_rows(self._scaled(images))
 
     def _patch_rows(self, values: Any) -> Float32[np.ndarray, "b p d"]:
         """Return unit vectors of the patches of scaled images, row by row."""

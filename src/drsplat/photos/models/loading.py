@@ -1,21 +1,16 @@
 """Encoders by name."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .libraries import models_library
 from .mini import MiniEncoder
+from .pretrained import DEFAULT_ENCODER as DEFAULT_ENCODER
 from .pretrained import model_folder
-from .weight_names import OPEN_CLIP
 from .words import WordEncoder
 
 if TYPE_CHECKING:
     from .torch_encoder import TorchEncoder
 
-DEFAULT_ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
-"""The paper's encoder. Source: Dr. Splat Sec. A."""
-OPENCLIP_NAMES = {"ViT-B-16/laion2b_s34b_b88k": DEFAULT_ENCODER}
-"""Names of LangSplat and OpenCLIP for the same models."""
 OPEN_CLIP_PREFIXES = ("hf-hub:", "open_clip:")
 """Prefixes of names that open_clip's own library loads; the first is that library's own."""
 
@@ -46,21 +41,14 @@ def load_encoder(
         return MiniEncoder(threads=threads)
     for prefix in OPEN_CLIP_PREFIXES:
         if name.startswith(prefix):
-            return _by_open_clip(name, name.removeprefix(prefix), device, dtype)
+            from .open_clip_encoder import OpenClipEncoder, open_clip_library
+
+            open_clip_library()  # fail before a useless download
+            return OpenClipEncoder(*model_folder(name, prefix), device, dtype)
     models_library()
-    folder = model_folder(OPENCLIP_NAMES.get(name, name))
+    called, folder = model_folder(name)
     from .dense_encoder import DensePatchEncoder
     from .transformers_encoders import TransformersEncoder, family_of
 
-    called = folder.resolve().name if Path(name).expanduser().is_dir() else name
     kind = DensePatchEncoder if family_of(called, folder).dense else TransformersEncoder
     return kind(called, folder, device, dtype)
-
-
-def _by_open_clip(name: str, place: str, device: str, dtype: str) -> "TorchEncoder":
-    from .open_clip_encoder import OpenClipEncoder, open_clip_library
-
-    open_clip_library()  # fail before a useless download
-    folder = model_folder(place, OPEN_CLIP)
-    called = folder.resolve().name if Path(place).expanduser().is_dir() else name
-    return OpenClipEncoder(called, folder, device, dtype)

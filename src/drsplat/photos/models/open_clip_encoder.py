@@ -13,15 +13,11 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, MissingExtraError, pip_install
-from ...scene.encoders import EncoderIdentity
 from .devices import chosen_device, chosen_dtype
 from .open_clip_settings import embedding_size, open_clip_preprocessing
-from .preprocessing import Preprocessing
-from .pretrained import checked_files, model_errors, weights_hash
+from .preprocessing import OPENAI, Preprocessing
+from .pretrained import OPEN_CLIP, OPEN_CLIP_CONFIG, check_headers, model_errors, no_weights
 from .torch_encoder import TorchEncoder, as_rows
-from .weight_names import OPEN_CLIP, OPEN_CLIP_CONFIG, no_weights
-
-_OPENAI = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 
 
 def open_clip_library() -> Any:
@@ -52,14 +48,14 @@ class OpenClipEncoder(TorchEncoder):
         self._library = open_clip_library()
         device = chosen_device(device)
         dtype = chosen_dtype(dtype, device)
-        # the file of the weights. Raises: InputError: it or the settings are absent. FormatError: it is damaged.
+        weights = folder / OPEN_CLIP
         if not (folder / OPEN_CLIP_CONFIG).is_file():
             raise InputError(
                 f"{folder}: has no {OPEN_CLIP_CONFIG}, so it is no folder of open_clip's: load it by its plain name"
             )
-        if not (folder / OPEN_CLIP).is_file():
+        if not weights.is_file():
             raise InputError(no_weights(folder))
-        weights = checked_files([folder / OPEN_CLIP])[0]
+        check_headers([weights])
         dim = embedding_size(folder / OPEN_CLIP_CONFIG)
         with model_errors(folder, "model of open_clip"):
             model = self._library.create_model(
@@ -68,9 +64,10 @@ class OpenClipEncoder(TorchEncoder):
             self._tokenizer = self._library.get_tokenizer(f"local-dir:{folder}")
         self._model = model.eval().to(device)
         self._model.visual.to(getattr(import_module("torch"), dtype))
-        preprocessing = _preprocessing(folder, self._model.visual.image_size)
-        identity = EncoderIdentity(name, dim, weights_hash([weights]), str(preprocessing))
-        super().__init__(identity, preprocessing, device, dtype)
+        size = self._model.visual.image_size  # which the model takes, whatever the file says
+        side = size if isinstance(size, int) else size[0]
+        preprocessing = open_clip_preprocessing(folder, Preprocessing(side, "bicubic", *OPENAI))
+        super().__init__(name, dim, [weights], replace(preprocessing, side=side), device, dtype)
 
     def _features(self, values: Any) -> np.ndarray:
         return as_rows(self._model.encode_image(values))
@@ -93,9 +90,3 @@ class OpenClipEncoder(TorchEncoder):
                     f"{text[:60]!r} has more than the {most} tokens that {self.identity.name} reads: shorten it"
                 )
         return self._tokenizer(list(texts))
-
-
-def _preprocessing(folder: Path, size: int | tuple[int, int]) -> Preprocessing:
-    """Return the folder's preprocessing, at the size that the model takes, whatever the file says."""
-    side = size if isinstance(size, int) else size[0]
-    return replace(open_clip_preprocessing(folder, Preprocessing(side, "bicubic", *_OPENAI)), side=side)

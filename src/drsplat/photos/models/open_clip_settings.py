@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import FormatError, InputError
-from ...formats.json_files import as_count, as_number, excerpt, read_json
+from ...formats.json_files import as_count, as_number, as_object, excerpt, read_json
 from .preprocessing import Preprocessing, preprocessing_of
-from .weight_names import OPEN_CLIP_CONFIG
+from .pretrained import OPEN_CLIP_CONFIG
 
 _MODEL = {"quick_gelu": False}
 _VISION = {"image_size": 224, "layers": 12, "width": 768, "head_width": 64, "patch_size": 16}
@@ -35,7 +35,7 @@ def config_arguments(path: Path) -> dict[str, Any]:
     for the eos_token_id 2, whatever the vocabulary.
     """
     where = f"{path}: model_cfg"
-    settings = _object(_settings_file(path), "model_cfg", str(path))
+    settings = _part(path, "model_cfg")
     model = _with_defaults(settings, _MODEL, where)
     vision = _sizes(settings, "vision_cfg", _VISION, where)
     text = _sizes(settings, "text_cfg", _TEXT, where)
@@ -53,14 +53,14 @@ def config_arguments(path: Path) -> dict[str, Any]:
 
 def embedding_size(path: Path) -> int:
     """Return the dimension of embeddings, from open_clip_config.json. Raises: FormatError."""
-    model = _object(_settings_file(path), "model_cfg", str(path))
+    model = _part(path, "model_cfg")
     return _positive(model.get("embed_dim"), f"{path}: model_cfg.embed_dim")
 
 
 def _sizes(model: dict[str, Any], part: str, defaults: dict[str, int], where: str) -> dict[str, int]:
     """Return the sizes of one tower under the names of transformers."""
     where = f"{where}.{part}"
-    settings = _with_defaults(_object(model, part, where), defaults | _BOTH, where)
+    settings = _with_defaults(as_object(model.get(part) or {}, f"{where}: {part}"), defaults | _BOTH, where)
     ratio = as_number(settings.pop("mlp_ratio"), f"{where}.mlp_ratio")
     names = {"width": "hidden_size", "layers": "num_hidden_layers", "heads": "num_attention_heads",
              "context_length": "max_position_embeddings"}  # fmt: skip
@@ -88,7 +88,7 @@ def open_clip_preprocessing(folder: Path, default: Preprocessing) -> Preprocessi
     path = folder / OPEN_CLIP_CONFIG
     if not path.is_file():
         return default
-    settings = _object(_settings_file(path), "preprocess_cfg", str(path))
+    settings = _part(path, "preprocess_cfg")
     fit, interpolation = settings.get("resize_mode", "shortest"), settings.get("interpolation", "bicubic")
     if fit not in ("shortest", "squash") or interpolation not in ("bicubic", "bilinear"):
         raise InputError(
@@ -102,18 +102,9 @@ def open_clip_preprocessing(folder: Path, default: Preprocessing) -> Preprocessi
     return preprocessing_of(renamed, path, default)
 
 
-def _settings_file(path: Path) -> dict[str, Any]:
-    document = read_json(path)
-    if not isinstance(document, dict):
-        raise FormatError(f"{path}: expected an object, got {excerpt(document)}")
-    return document
-
-
-def _object(document: dict[str, Any], key: str, where: str) -> dict[str, Any]:
-    value = document.get(key) or {}
-    if not isinstance(value, dict):
-        raise FormatError(f"{where}: {key}: expected an object, got {excerpt(value)}")
-    return value
+def _part(path: Path, name: str) -> dict[str, Any]:
+    """Return one of the objects in open_clip_config.json, {} without it."""
+    return as_object(as_object(read_json(path), str(path)).get(name) or {}, f"{path}: {name}")
 
 
 def _side(value: object) -> object:

@@ -26,91 +26,66 @@ class Projection(NamedTuple):
         return linear(tokens, self.weight).add_(self.offset)
 
 
-class SharedImage(NamedTuple):
-    """Data that all points of an image share.
+class PointDecoder:
+    """Decoder of points on one image, with the modules of a SamModel, Sam2Model, Sam3TrackerModel or EdgeTamModel.
 
-    tokens: (1, n, d), row by row. layers: keys, queries and values of each layer. last: keys and values of the last
-    attention. upscaling: the two doublings of the side.
+    features: from get_image_embeddings, one tensor, or three from fine to coarse.
     """
 
-    tokens: Any
-    layers: tuple[Projection, ...]
-    last: Projection
-    upscaling: tuple[Projection, Projection]
-
-
-class PointDecoder:
-    """Decoder of points with the modules of a SamModel, Sam2Model, Sam3TrackerModel or EdgeTamModel, on its device."""
-
-    def __init__(self, model: Any):
-        self._model, self._decoder = model, model.mask_decoder
-
-    def share(self, features: Any) -> SharedImage:
-        """Prepare an image from get_image_embeddings: one tensor, or three from fine to coarse."""
+    def __init__(self, model: Any, features: Any):
+        self._model, self._decoder, transformer = model, model.mask_decoder, model.mask_decoder.transformer
         *fine, coarse = features if isinstance(features, list | tuple) else [features]
-        nothing = self._model.prompt_encoder.no_mask_embed.weight.reshape(-1, 1, 1)
-        tokens, side = (coarse[0] + nothing).flatten(1).T.contiguous(), coarse.shape[-1]
-        places = self._model.get_image_wide_positional_embeddings()[0].flatten(1).T
-        transformer, decoder = self._decoder.transformer, self._decoder
-        layers = tuple(_of_layer(layer, places) for layer in transformer.layers)
-        last = transformer.final_attn_token_to_image
+        nothing = model.prompt_encoder.no_mask_embed.weight.reshape(-1, 1, 1)
+        self._image, self._side = (coarse[0] + nothing).flatten(1).T.contiguous()[None], coarse.shape[-1]  # row by row
+        places = model.get_image_wide_positional_embeddings()[0].flatten(1).T
+        self._layers = []
+        for layer in transformer.layers:
+            there, back = layer.cross_attn_token_to_image, layer.cross_attn_image_to_token
+            self._layers.append((layer, _stacked([there.k_proj, back.q_proj], [there.v_proj], places)))
+        self._last = transformer.final_attn_token_to_image
+        self._last_projection = _stacked([self._last.k_proj], [self._last.v_proj], places)
         finest, finer = fine or (None, None)
-        upscaling = (
-            _doubling(decoder.upscale_conv1, finer, side, 1),
-            _doubling(decoder.upscale_conv2, finest, side, 2),
+        self._doublings = (
+            _doubling(self._decoder.upscale_conv1, finer, self._side, 1),
+            _doubling(self._decoder.upscale_conv2, finest, self._side, 2),
         )
-        return SharedImage(tokens[None], layers, _stacked([last.k_proj], [last.v_proj], places), upscaling)
+        # the output tokens; the masks are the last four, of which the first is not used
+        ahead = [self._decoder.obj_score_token.weight] if hasattr(self._decoder, "obj_score_token") else []
+        self._outputs = [*ahead, self._decoder.iou_token.weight, self._decoder.mask_tokens.weight]
 
-    def answers(self, image: SharedImage, points: Float32[np.ndarray, "p 2"]) -> tuple[Any, Any]:
+    def answers(self, points: Float32[np.ndarray, "p 2"]) -> tuple[Any, Any]:
         """Return three masks' logits for each point, (p, 3, h, w), and their predicted IoU, (p, 3).
 
         points: x, y in pixels of the model's square.
         """
-        first = self._tokens(points, image.tokens.device)
-        queries, tokens = first, image.tokens
-        for layer, projection in zip(self._decoder.transformer.layers, image.layers, strict=True):
-            queries, tokens = _through(layer, projection, queries, tokens, first)
-        last = self._decoder.transformer.final_attn_token_to_image
-        keys, values = image.last(tokens).chunk(2, -1)
-        queries = queries + _output(last, _attend(last, last.q_proj(queries + first), keys, values))
-        queries = self._decoder.transformer.layer_norm_final_attn(queries)
-        *_, iou, _, small, medium, large = queries[:, : self._num_outputs].unbind(1)
-        scores = self._decoder.iou_prediction_head(iou)[:, 1:]
-        return self._masks(image, tokens, (small, medium, large)), scores
-
-    @property
-    def _outputs(self) -> list[Any]:
-        """Weights of the output tokens; the masks are the last four, of which the first is not used."""
-        decoder = self._decoder
-        ahead = [decoder.obj_score_token.weight] if hasattr(decoder, "obj_score_token") else []
-        return [*ahead, decoder.iou_token.weight, decoder.mask_tokens.weight]
-
-    @property
-    def _num_outputs(self) -> int:
-        return sum(map(len, self._outputs))
-
-    def _tokens(self, points: Float32[np.ndarray, "p 2"], device: Any) -> Any:
-        """Return (p, t, d): the output tokens, then the tokens of each point."""
         import torch
 
-        prompt_points = torch.from_numpy(points).to(device)[None, :, None]
-        labels = torch.ones(prompt_points.shape[:3], dtype=torch.int64, device=device)
+        placed = torch.from_numpy(points).to(self._image.device)[None, :, None]
+        labels = torch.ones(placed.shape[:3], dtype=torch.int64, device=placed.device)
         prompts, _ = self._model.prompt_encoder(
-            input_points=prompt_points, input_labels=labels, input_boxes=None, input_masks=None
+            input_points=placed, input_labels=labels, input_boxes=None, input_masks=None
         )
-        return torch.cat([torch.cat(self._outputs).expand(len(points), -1, -1), prompts[0]], 1)
+        first = torch.cat([torch.cat(self._outputs).expand(len(points), -1, -1), prompts[0]], 1)
+        queries, tokens = first, self._image
+        for layer, projection in self._layers:
+            queries, tokens = _through(layer, projection, queries, tokens, first)
+        keys, values = self._last_projection(tokens).chunk(2, -1)
+        queries = queries + _output(self._last, _attend(self._last, self._last.q_proj(queries + first), keys, values))
+        queries = self._decoder.transformer.layer_norm_final_attn(queries)
+        *_, iou, _, small, medium, large = queries[:, : sum(map(len, self._outputs))].unbind(1)
+        scores = self._decoder.iou_prediction_head(iou)[:, 1:]
+        return self._masks(tokens, (small, medium, large)), scores
 
-    def _masks(self, image: SharedImage, tokens: Any, chosen: tuple[Any, ...]) -> Any:
+    def _masks(self, tokens: Any, chosen: tuple[Any, ...]) -> Any:
         """Upscale the image twice and multiply it with the weights that the tokens of three masks give."""
         import torch
         from torch.nn.functional import gelu, layer_norm
 
-        norm, networks = self._decoder.upscale_layer_norm, self._decoder.output_hypernetworks_mlps
-        parts = image.upscaling[0](tokens).unflatten(-1, (4, -1))  # of each token, its 2 x 2 halves
+        norm, networks, side = self._decoder.upscale_layer_norm, self._decoder.output_hypernetworks_mlps, self._side
+        parts = self._doublings[0](tokens).unflatten(-1, (4, -1))  # of each token, its 2 x 2 halves
         parts = gelu(layer_norm(parts, parts.shape[-1:], norm.weight, norm.bias, norm.eps)).flatten(1, 2)
-        parts = gelu(image.upscaling[1](parts).unflatten(-1, (4, -1))).flatten(1, 2)
+        parts = gelu(self._doublings[1](parts).unflatten(-1, (4, -1))).flatten(1, 2)
         weights = torch.stack([network(token) for network, token in zip(networks[1:], chosen, strict=True)], 1)
-        side = int(tokens.shape[1] ** 0.5)
         masks = (weights @ parts.transpose(1, 2)).view(len(parts), 3, side, side, 2, 2, 2, 2)
         return masks.permute(0, 1, 2, 4, 6, 3, 5, 7).reshape(len(parts), 3, 4 * side, 4 * side)
 
@@ -143,11 +118,6 @@ def _attend(block: Any, queries: Any, keys: Any, values: Any) -> Any:
 def _output(block: Any, rows: Any) -> Any:
     """Apply the last projection of an attention, whose name differs between SAM and its successors."""
     return (block.o_proj if hasattr(block, "o_proj") else block.out_proj)(rows)
-
-
-def _of_layer(layer: Any, places: Any) -> Projection:
-    there, back = layer.cross_attn_token_to_image, layer.cross_attn_image_to_token
-    return _stacked([there.k_proj, back.q_proj], [there.v_proj], places)
 
 
 def _stacked(placed: list[Any], plain: list[Any], places: Any) -> Projection:

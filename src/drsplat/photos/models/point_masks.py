@@ -4,15 +4,16 @@ Source: the automatic mask generator of segment-anything, in the form of LangSpl
 the three masks that a point has (part, object, group) apart as levels.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from itertools import product
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Bool, ByteValues, Flags, Float64, Indices, Mask, Numbers, Pixels, PlanePoints
+from ...base.arrays import Bool, ByteValues, Indices, Mask, Numbers, Pixels, PlanePoints
 from ...errors import InputError
 from ...scene.masks.masks import LEVELS, Masks, tight_box
 from ...scene.masks.selection import mask_nms
@@ -21,6 +22,7 @@ _MIDDLE, _LARGE = 1, 2
 _OUTPUTS = {"default": (0, 1, 2), "small": (0,), "medium": (1,), "large": (2,)}
 Box = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels, ends excluded."""
+Found = TypeVar("Found", "_Candidate", "_Cleaned")
 _CROP_EDGE_PIXELS = 20  # Source: segment-anything utils/amg.py, is_box_near_crop_edge
 
 
@@ -50,15 +52,8 @@ class PointMaskSettings:
     points_per_batch: int = 64  # segment-anything; of memory only
 
     def __post_init__(self) -> None:
-        for name in (
-            "points_per_side",
-            "first_points_per_side",
-            "most_points",
-            "crop_points_divisor",
-            "points_per_batch",
-        ):
-            value = getattr(self, name)
-            if value is not None and value < 1:
+        for name, value in vars(self).items():
+            if "points" in name and value is not None and value < 1:
                 raise InputError(f"{name}: expected at least 1, got {value}")
         if not 0 <= self.crop_layers <= 4 or self.min_region < 0:
             raise InputError("crop_layers: expected 0 to 4, and min_region: 0 or more")
@@ -119,19 +114,31 @@ class PointPredictor(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Mask that passed the thresholds. bits: its box's pixels, eight to a byte."""
+    """Mask that passed the thresholds.
+
+    bits: its box's pixels, eight to a byte. sharpness: one over the pixels of its crop.
+    """
 
     box: Box
     bits: ByteValues
     predicted_iou: float
     stability: float
     output: int
-    crop_area: int
+    sharpness: float
 
     @property
     def part(self) -> Mask:
         height, width = self.box[3] - self.box[1], self.box[2] - self.box[0]
         return np.unpackbits(self.bits, count=height * width).reshape(height, width).astype(bool)
+
+
+class _Cleaned(NamedTuple):
+    """Mask without small regions. unchanged: 1 where it had none, else 0. score: predicted IoU times stability."""
+
+    box: Box
+    part: Mask
+    unchanged: float
+    score: float
 
 
 class PointSegmenter:
@@ -149,23 +156,20 @@ class PointSegmenter:
         height, width = image.shape[:2]
         if 0 in (height, width):
             raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
-        by_level: dict[str, list[_Candidate]] = {level: [] for level in self.settings.levels}
-        crops = crop_boxes(height, width, self.settings.crop_layers, self.settings.crop_overlap)
-        for layer, crop in crops:
+        s = self.settings
+        by_level: dict[str, list[_Candidate]] = {level: [] for level in s.levels}
+        for layer, crop in crop_boxes(height, width, s.crop_layers, s.crop_overlap):
             passing = self._in_crop(image, crop, layer)
             for level, candidates in by_level.items():
-                # the candidates of these outputs that survive box NMS by predicted IoU
-                outputs = _OUTPUTS[level]
-                of_outputs = [candidate for candidate in passing if candidate.output in outputs]
-                chosen = box_nms(
-                    [c.box for c in of_outputs], [c.predicted_iou for c in of_outputs], self.settings.max_box_iou
-                )
-                candidates += [of_outputs[i] for i in chosen]
-        cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]] = {}
-        return {
-            level: self._level(candidates, (height, width), len(crops) > 1, cleaned)
-            for level, candidates in by_level.items()
-        }
+                of_level = [candidate for candidate in passing if candidate.output in _OUTPUTS[level]]
+                candidates += _distinct(of_level, "predicted_iou", s.max_box_iou)
+
+        @cache  # levels share candidates
+        def cleaned(candidate: _Candidate) -> _Cleaned:
+            box, part, changed = without_small_regions(candidate.box, candidate.part, (height, width), s.min_region)
+            return _Cleaned(box, part, float(not changed), candidate.predicted_iou * candidate.stability)
+
+        return {level: self._level(found, (height, width), cleaned) for level, found in by_level.items()}
 
     def _in_crop(self, image: Pixels, crop: Box, layer: int) -> list[_Candidate]:
         """Return the passing masks of a crop, from rounds of finer grids where no mask explains the pixels yet.
@@ -173,90 +177,64 @@ class PointSegmenter:
         A pixel is explained by a mask of the finest output wanted. For the large output only the part that the point's
         good middle mask also has is explained: the rest of a group gets points of its own.
         """
+        s, left = self.settings, self.settings.most_points
         x0, y0, x1, y1 = crop
         pixels = np.ascontiguousarray(image[y0:y1, x0:x1])
         explained = np.zeros(pixels.shape[:2], np.bool_)
         passing: list[_Candidate] = []
-        for points in self._rounds(layer, explained):
-            middle: dict[int, Mask] = {}
-            for batch in self.predictor.find(pixels, points, self.settings):
-                passing += self._passing(batch, crop, image.shape[:2])
-                self._explain(explained, batch, middle)
+        for side in s.sides(layer):
+            points = open_points(side, explained)
+            if left is not None:
+                if len(points) > left:
+                    points = points[np.linspace(0, len(points) - 1, left).astype(np.int64)]
+                left -= len(points)
+            middle: dict[int, Mask] = {}  # the last good middle mask, by its point, maybe of the batch before
+            for batch in self.predictor.find(pixels, points, s) if len(points) else ():
+                good = (batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability)
+                for i in np.flatnonzero(good):
+                    mask, output, point = batch.masks[i], int(batch.output[i]), int(batch.point[i])
+                    if output in s.outputs:
+                        score = float(batch.predicted_iou[i]), float(batch.stability[i])
+                        passing += _passing(mask, score, output, crop, image.shape[:2])
+                    if output == s.outputs[0]:
+                        explained |= mask & middle.pop(point, True)
+                    elif (output, s.outputs[0]) == (_MIDDLE, _LARGE):
+                        middle = {point: mask}
         return passing
 
-    def _explain(self, explained: Mask, batch: PointMasks, middle: dict[int, Mask]) -> None:
-        """Mark the pixels that masks explain. middle: last good middle mask by point, maybe of the batch before."""
-        finest = self.settings.outputs[0]
-        for i in np.flatnonzero(self._good(batch)):
-            if batch.output[i] == finest:
-                explained |= batch.masks[i] & middle.pop(int(batch.point[i]), True)
-            elif batch.output[i] == _MIDDLE and finest == _LARGE:
-                middle.clear()
-                middle[int(batch.point[i])] = batch.masks[i]
-
-    def _rounds(self, layer: int, explained: Mask) -> Iterator[PlanePoints]:
-        """Yield the points of each round, from the pixels explained when it begins."""
-        left = self.settings.most_points
-        for side in self.settings.sides(layer):
-            points = spread(open_points(side, explained), left)
-            left = None if left is None else left - len(points)
-            if len(points):
-                yield points
-
-    def _good(self, batch: PointMasks) -> Flags:
-        s = self.settings
-        return (batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability)
-
-    def _passing(self, batch: PointMasks, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
-        left, top, right, bottom = crop
-        for i in np.flatnonzero(self._good(batch) & np.isin(batch.output, self.settings.outputs)):
-            tight = tight_box(batch.masks[i])
-            if tight is None:
-                continue
-            x0, y0, x1, y1 = tight
-            box = (x0 + left, y0 + top, x1 + left, y1 + top)
-            if not cut_by_crop(box, crop, size):
-                yield _Candidate(
-                    box,
-                    np.packbits(batch.masks[i, y0:y1, x0:x1]),
-                    float(batch.predicted_iou[i]),
-                    float(batch.stability[i]),
-                    int(batch.output[i]),
-                    (right - left) * (bottom - top),
-                )
-
     def _level(
-        self,
-        candidates: list[_Candidate],
-        size: tuple[int, int],
-        has_crops: bool,
-        cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]],
+        self, candidates: list[_Candidate], size: tuple[int, int], cleaned: Callable[[_Candidate], _Cleaned]
     ) -> Masks:
-        """Return the masks of a level. cleaned: results of without_small_regions, shared between levels."""
         s = self.settings
-        if has_crops:
-            sharpness = [1 / candidate.crop_area for candidate in candidates]
-            chosen = box_nms([c.box for c in candidates], sharpness, s.max_crop_box_iou)
-            candidates = [candidates[i] for i in chosen]
-        for c in candidates:
-            if id(c) not in cleaned:
-                cleaned[id(c)] = without_small_regions(c.box, c.part, size, s.min_region)
-        pieces = [cleaned[id(c)] for c in candidates]
+        if s.crop_layers:
+            candidates = _distinct(candidates, "sharpness", s.max_crop_box_iou)
+        found = [cleaned(candidate) for candidate in candidates]
         if s.min_region:
-            unchanged = [float(not changed) for _, _, changed in pieces]
-            limit = max(s.max_box_iou, s.max_crop_box_iou)
-            chosen = box_nms([box for box, _, _ in pieces], unchanged, limit)
-            pieces, candidates = [pieces[i] for i in chosen], [candidates[i] for i in chosen]
-        masks = Masks(
-            *size,
-            np.array([box for box, _, _ in pieces], np.int32).reshape(-1, 4),
-            tuple(part for _, part, _ in pieces),
-            np.array([c.predicted_iou * c.stability for c in candidates], np.float32),
-        )
+            found = _distinct(found, "unchanged", max(s.max_box_iou, s.max_crop_box_iou))
+        boxes = np.array([each.box for each in found], np.int32).reshape(-1, 4)
+        scores = np.array([each.score for each in found], np.float32)
+        masks = Masks(*size, boxes, tuple(each.part for each in found), scores)
         stay = mask_nms(masks, s.mask_iou, s.mask_score, s.mask_inner)
         if not s.mask_inner:
             stay = stay[np.argsort([-masks.parts[i].sum() for i in stay], kind="stable")]
         return masks.subset(stay)
+
+
+def _passing(
+    mask: Mask, score: tuple[float, float], output: int, crop: Box, size: tuple[int, ...]
+) -> Iterator[_Candidate]:
+    """Yield the candidate of a mask of a crop, unless it is empty or cut by the crop."""
+    left, top, right, bottom = crop
+    x0, y0, x1, y1 = tight_box(mask) or (0, 0, 0, 0)
+    box = (x0 + left, y0 + top, x1 + left, y1 + top)
+    if x1 and not cut_by_crop(box, crop, size):
+        yield _Candidate(box, np.packbits(mask[y0:y1, x0:x1]), *score, output, 1 / ((right - left) * (bottom - top)))
+
+
+def _distinct(found: list[Found], score: str, max_iou: float) -> list[Found]:
+    """Return what `box_nms` keeps by the scores of this name."""
+    chosen = box_nms([each.box for each in found], [getattr(each, score) for each in found], max_iou)
+    return [found[i] for i in chosen]
 
 
 def point_grid(side: int) -> PlanePoints:
@@ -282,13 +260,6 @@ def open_points(side: int, explained: Mask) -> PlanePoints:
     return points[is_open]
 
 
-def spread(points: PlanePoints, most: int | None) -> Float64[np.ndarray, "q 2"]:
-    """Return all points, or `most` of them evenly spread over their order."""
-    if most is None or len(points) <= most:
-        return points
-    return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
-
-
 def crop_boxes(height: int, width: int, layers: int, overlap: float) -> list[tuple[int, Box]]:
     """Return the whole image as layer 0, then 2**n x 2**n overlapping crops of each layer n, column by column.
 
@@ -308,7 +279,7 @@ def crop_boxes(height: int, width: int, layers: int, overlap: float) -> list[tup
     return boxes
 
 
-def cut_by_crop(box: Box, crop: Box, size: tuple[int, int]) -> bool:
+def cut_by_crop(box: Box, crop: Box, size: tuple[int, ...]) -> bool:
     """Return whether a mask comes within 20 px of an edge of its crop that is not an edge of the image.
 
     Such a mask may continue outside; the whole image or a neighbouring crop has it in full.
@@ -362,11 +333,9 @@ def without_small_regions(
     islands = _regions_below(canvas, min_region)
     if not (holes.any() or islands.any()):
         return box, part, False
-    if islands.sum() == canvas.sum():
+    if (islands == canvas).all():
         labels, _ = ndimage.label(canvas, np.ones((3, 3), int))
-        sizes = np.bincount(labels.ravel())
-        sizes[0] = 0
-        islands &= ~(labels == sizes.argmax())
+        islands &= labels != np.bincount(labels[canvas]).argmax()
     canvas &= ~islands
     left, top, right, bottom = tight_box(canvas) or (0, 0, 1, 1)
     shifted = (left + x0, top + y0, right + x0, bottom + y0)

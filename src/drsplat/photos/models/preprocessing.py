@@ -13,9 +13,14 @@ from PIL import Image
 
 from ...base.arrays import Float32, OtherPixels
 from ...errors import FormatError, InputError
-from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_json
+from ...formats.json_files import as_count, as_number, as_object, as_vector, excerpt, read_json
 
-Triple = tuple[float, float, float]
+Triple = tuple[float, ...]
+Colors = tuple[Triple, Triple]
+"""Mean and standard deviation per channel, of values from 0 to 1."""
+HALF: Colors = (0.5, 0.5, 0.5), (0.5, 0.5, 0.5)
+OPENAI: Colors = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
+IMAGENET: Colors = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True)
@@ -45,24 +50,13 @@ class Preprocessing:
         height, width = image.shape[:2]
         if min(height, width) < 1:
             raise InputError(f"an image of {width}x{height} pixels: expected at least one pixel")
-        pixels = np.asarray(self._square(Image.fromarray(np.ascontiguousarray(image))))
-        return np.stack([self._levels(c).take(pixels[..., c]) for c in range(3)])
-
-    def _square(self, picture: Image.Image) -> Image.Image:
-        width, height = picture.size
-        if self.stretch or width == height:
-            size = (self.side, self.side)
-        else:
-            shorter = min(width, height)
-            size = (width * self.side // shorter, height * self.side // shorter)
-        scaled = picture.resize(size, Image.Resampling[self.filter.upper()])
-        left, top = (size[0] - self.side) // 2, (size[1] - self.side) // 2
-        return scaled.crop((left, top, left + self.side, top + self.side))
-
-    def _levels(self, channel: int) -> Float32[np.ndarray, "256"]:
-        """Return the value of each byte, rounded once."""
-        scaled = np.arange(256) * self.scale - self.mean[channel]
-        return np.asarray(scaled / self.std[channel], np.float32)
+        size = [self.side if self.stretch else length * self.side // min(height, width) for length in (width, height)]
+        left, top = ((length - self.side) // 2 for length in size)
+        picture = Image.fromarray(np.ascontiguousarray(image)).resize(size, Image.Resampling[self.filter.upper()])
+        pixels = np.asarray(picture.crop((left, top, left + self.side, top + self.side)))
+        # the value of each byte in each channel, rounded once
+        levels = ((np.arange(256)[:, None] * self.scale - self.mean) / self.std).astype(np.float32)
+        return np.stack([levels[:, channel].take(pixels[..., channel]) for channel in range(3)])
 
 
 def read_preprocessing(folder: Path, default: Preprocessing) -> Preprocessing:
@@ -73,8 +67,8 @@ def read_preprocessing(folder: Path, default: Preprocessing) -> Preprocessing:
 
     Raises: FormatError: the file is damaged, or asks for what we do not do.
     """
-    path, settings = _settings(folder)
-    return default if settings is None else preprocessing_of(settings, path, default)
+    path, settings = processor_settings(folder)
+    return preprocessing_of(settings, path, default)
 
 
 def preprocessing_of(settings: dict[str, Any], path: Path, default: Preprocessing) -> Preprocessing:
@@ -89,29 +83,48 @@ def preprocessing_of(settings: dict[str, Any], path: Path, default: Preprocessin
         settings = {**settings, "image_mean": [0, 0, 0], "image_std": [1, 1, 1]}
     cut = settings.get("do_center_crop", not default.stretch)
     size = settings.get("crop_size" if cut and "crop_size" in settings else "size", default.side)
+    resample = settings.get("resample", default.filter)
+    if not isinstance(resample, str):
+        number = as_count(resample, f"{path}: resample")
+        if number not in list(Image.Resampling):
+            raise FormatError(f"{path}: resample: Pillow has no filter {number}")
+        resample = Image.Resampling(number).name.lower()
     return Preprocessing(
         _side(size, f"{path}: size"),
-        _filter(settings.get("resample", default.filter), str(path)),
-        _triple(settings.get("image_mean", list(default.mean)), f"{path}: image_mean"),
-        _triple(settings.get("image_std", list(default.std)), f"{path}: image_std"),
+        resample,
+        *colors_of(settings, path, (default.mean, default.std)),
         as_number(settings.get("rescale_factor", default.scale), f"{path}: rescale_factor"),
         stretch=not cut and not (isinstance(size, dict) and "shortest_edge" in size),
     )
 
 
-def _settings(folder: Path) -> tuple[Path, dict[str, Any] | None]:
+def processor_settings(folder: Path) -> tuple[Path, dict[str, Any]]:
+    """Return the file that says how a model's images are prepared, and its settings; none without such a file.
+
+    Raises: FormatError: the file is damaged.
+    """
     for name, key in (("preprocessor_config.json", None), ("processor_config.json", "image_processor")):
         path = folder / name
-        if not path.is_file():
-            continue
-        document = read_json(path)
-        settings = document.get(key) if key and isinstance(document, dict) else document
-        if key and settings is None:
-            continue
-        if not isinstance(settings, dict):
-            raise FormatError(f"{path}: expected an object, got {excerpt(settings)}")
-        return path, {name: value for name, value in settings.items() if value is not None}
-    return folder, None
+        settings = read_json(path) if path.is_file() else None
+        if key and isinstance(settings, dict):
+            settings = settings.get(key)
+        if settings is not None:
+            return path, {name: value for name, value in as_object(settings, str(path)).items() if value is not None}
+    return folder, {}
+
+
+def colors_of(settings: dict[str, Any], path: Path, default: Colors) -> Colors:
+    """Return the mean and the deviation of each channel.
+
+    Raises: FormatError: other than three numbers, or deviations that are not positive.
+    """
+    mean, std = (
+        as_vector(settings.get(name, list(usual)), 3, f"{path}: {name}").tolist()
+        for name, usual in zip(("image_mean", "image_std"), default, strict=True)
+    )
+    if min(std) <= 0:
+        raise FormatError(f"{path}: image_std: expected positive numbers, got {std}")
+    return tuple(mean), tuple(std)
 
 
 def _side(size: object, where: str) -> int:
@@ -125,19 +138,3 @@ def _side(size: object, where: str) -> int:
     if not 1 <= side <= 4096:
         raise FormatError(f"{where}: expected 1 to 4096 pixels, got {side}")
     return side
-
-
-def _filter(resample: object, where: str) -> str:
-    if isinstance(resample, str):
-        return resample
-    number = as_count(resample, f"{where}: resample")
-    if number not in list(Image.Resampling):
-        raise FormatError(f"{where}: resample: Pillow has no filter {number}")
-    return Image.Resampling(number).name.lower()
-
-
-def _triple(value: object, where: str) -> Triple:
-    red, green, blue = as_vector(value, 3, where).tolist()
-    if where.endswith("std") and min(red, green, blue) <= 0:
-        raise FormatError(f"{where}: expected positive numbers, got {excerpt(str(value))}")
-    return red, green, blue

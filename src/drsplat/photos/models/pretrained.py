@@ -1,8 +1,8 @@
-"""Pretrained models by id on the Hugging Face hub or by folder: files, hash, errors."""
+"""Pretrained models by id on the Hugging Face hub or by folder: files, hash, errors, advice for pickles."""
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -11,34 +11,40 @@ from typing import Any
 from ...errors import DrSplatError, FormatError, InputError, MissingExtraError, pip_install
 from ...formats.json_files import excerpt, read_json
 from .libraries import model_class, models_library
-from .weight_names import INDEX, OPEN_CLIP, OPEN_CLIP_CONFIG, WEIGHTS, no_weights
 
+WEIGHTS, INDEX = "model.safetensors", "model.safetensors.index.json"
+OPEN_CLIP, OPEN_CLIP_CONFIG = "open_clip_model.safetensors", "open_clip_config.json"
 _SETTINGS = ["*.json", "merges.txt", "vocab.txt", "*.model"]
 _DOWNLOADED_FILES = [*_SETTINGS, WEIGHTS, "model-*-of-*.safetensors"]
 _VOCABULARIES = ("tokenizer.json", "vocab.json", "vocab.txt", "*.model")
+DEFAULT_ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+"""The paper's encoder. Source: Dr. Splat Sec. A."""
+OPENCLIP_NAMES = {"ViT-B-16/laion2b_s34b_b88k": DEFAULT_ENCODER}
+"""Names of LangSplat and OpenCLIP for the same models."""
 _ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
-_EXAMPLES = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (CLIP) or facebook/sam2.1-hiera-tiny (SAM)"
+_EXAMPLES = f"{DEFAULT_ENCODER} (CLIP) or facebook/sam2.1-hiera-tiny (SAM)"
 BUILT_IN = "built in, without a download: the segmenter graph and the encoder drsplat-mini (coarser, for trials)"
 
 
-def model_folder(name: str, weights: str = WEIGHTS) -> Path:
-    """Return the folder with a model's files: `name` itself if it is a folder, else the hub's.
+def model_folder(name: str, prefix: str = "") -> tuple[str, Path]:
+    """Return what to call a model, and the folder with its files: that named, or else the hub's.
 
     The hub's is downloaded into the cache of huggingface_hub if it is not there yet.
-    weights: the file to download where the hub has several.
+    prefix: of names that open_clip's own library loads, and no part of a folder or an id.
 
     Raises: InputError: no such folder and no such id, or a gated one. DrSplatError: no network.
     MissingExtraError: huggingface_hub is not installed.
     """
-    folder = Path(name).expanduser()
-    if name and folder.is_dir():
-        return folder
-    if folder.exists() or not _ID.fullmatch(name):
+    place = OPENCLIP_NAMES.get(name, name.removeprefix(prefix))
+    folder = Path(place).expanduser()
+    if place and folder.is_dir():
+        return folder.resolve().name, folder
+    if folder.exists() or not _ID.fullmatch(place):
         raise InputError(
-            f"{name}: expected a folder with config.json and {WEIGHTS} (or {OPEN_CLIP_CONFIG} and {OPEN_CLIP}), or an "
+            f"{place}: expected a folder with config.json and {WEIGHTS} (or {OPEN_CLIP_CONFIG} and {OPEN_CLIP}), or an "
             f"id of the Hugging Face hub, AUTHOR/NAME, such as {_EXAMPLES}; {BUILT_IN}"
         )
-    return _downloaded(name, weights)
+    return name, _downloaded(place, bool(prefix))
 
 
 def cached_in_full(name: str) -> bool:
@@ -84,13 +90,7 @@ def weight_files(folder: Path) -> list[Path]:
         files = [folder / OPEN_CLIP]
     else:
         raise InputError(no_weights(folder))
-    return checked_files(files)
-
-
-def checked_files(files: list[Path]) -> list[Path]:
-    """Return safetensors files if their headers are sound. Raises: FormatError: one is damaged."""
-    for file in files:
-        _check_header(file)
+    check_headers(files)
     return files
 
 
@@ -167,19 +167,18 @@ def load_tokenizer(folder: Path) -> Any:
         ) from error
 
 
-def _downloaded(name: str, weights: str) -> Path:
+def _downloaded(name: str, by_open_clip: bool) -> Path:
     try:
         hub = import_module("huggingface_hub")
         errors = import_module("huggingface_hub.errors")
     except ImportError:
         raise MissingExtraError(f"'{name}' is an id of the Hugging Face hub: {pip_install('models')}") from None
     try:
-        if weights == OPEN_CLIP:
-            return Path(hub.snapshot_download(name, allow_patterns=[*_SETTINGS, OPEN_CLIP]))
-        folder = Path(hub.snapshot_download(name, allow_patterns=_DOWNLOADED_FILES))
-        if not any((folder / file).is_file() for file in (WEIGHTS, INDEX)):
+        wanted = [*_SETTINGS, OPEN_CLIP] if by_open_clip else _DOWNLOADED_FILES
+        folder = Path(hub.snapshot_download(name, allow_patterns=wanted))
+        if not (by_open_clip or any((folder / file).is_file() for file in (WEIGHTS, INDEX))):
             # second, so that of a repository with both only one is downloaded
-            folder = Path(hub.snapshot_download(name, allow_patterns=[*_DOWNLOADED_FILES, OPEN_CLIP]))
+            folder = Path(hub.snapshot_download(name, allow_patterns=[*wanted, OPEN_CLIP]))
         return folder
     except errors.GatedRepoError as error:
         raise InputError(
@@ -213,14 +212,44 @@ def _shards(folder: Path) -> list[Path]:
     return [folder / name for name in names]
 
 
-def _check_header(path: Path) -> None:
-    """Check a file's length against its header, which a broken download does not pass."""
+def check_headers(files: Sequence[Path]) -> None:
+    """Check the lengths of safetensors files against their headers, which broken downloads do not pass.
+
+    Raises: FormatError: one is damaged.
+    """
     safetensors = import_module("safetensors")
-    try:
-        with safetensors.safe_open(str(path), framework="numpy"):
-            pass
-    except (safetensors.SafetensorError, OSError, ValueError) as error:
-        raise FormatError(f"{path}: damaged or incomplete ({_first_line(error)}): download it again") from error
+    for path in files:
+        try:
+            with safetensors.safe_open(str(path), framework="numpy"):
+                pass
+        except (safetensors.SafetensorError, OSError, ValueError) as error:
+            raise FormatError(f"{path}: damaged or incomplete ({_first_line(error)}): download it again") from error
+
+
+def no_weights(folder: Path) -> str:
+    """Return the error text for a folder without safetensors, with the command that converts a pickle."""
+    others = sorted(path.name for path in folder.glob("*") if path.suffix in (".bin", ".pt", ".pth"))
+    if not others:
+        return (
+            f"{folder}: has no {WEIGHTS} and no {OPEN_CLIP}: download the model's weights into it. Where they are "
+            "published as a pickle only, put that there and run this again for the command that converts it"
+        )
+    if others[0].startswith("open_clip"):
+        source, target = (str(folder / name) for name in ("open_clip_pytorch_model.bin", OPEN_CLIP))
+        cure = (
+            'python -c "import torch; from safetensors.torch import save_file; '
+            f'save_file(torch.load({source!r}, weights_only=True), {target!r})"'
+        )
+    else:
+        cure = (
+            'python -c "from transformers import AutoModel; '
+            f"AutoModel.from_pretrained({str(folder)!r}).save_pretrained('converted')\", copy the "
+            "tokenizer's files beside it, and give that folder"
+        )
+    return (
+        f"{folder}: its weights are a pickle ({others[0]}), which can run code when it is loaded. "
+        f"Convert it once, where you trust it: {cure}"
+    )
 
 
 @contextmanager

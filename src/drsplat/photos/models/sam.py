@@ -10,25 +10,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float32, Numbers, OtherFlags, Pixels, PlanePoints, Spans, Vectors
-from ...errors import FormatError, InputError, MissingExtraError
-from ...formats.json_files import as_vector, excerpt, read_json
+from ...base.arrays import Float32, Pixels, PlanePoints, Spans, Vectors
+from ...errors import InputError, MissingExtraError
 from .devices import chosen_device, fitting
 from .graph import GraphSegmenter
 from .libraries import models_library
-from .point_decoder import PointDecoder, SharedImage
+from .point_decoder import PointDecoder
 from .point_masks import PointMasks, PointMaskSettings, PointSegmenter
+from .preprocessing import HALF, IMAGENET, Colors, Triple, colors_of, processor_settings
 from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash
+from .torch_encoder import as_rows
 
 DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
 """The paper's segmenter. Source: LangSplat preprocess.py (sam_vit_h_4b8939)."""
 CPU_SEGMENTER = "facebook/sam2.1-hiera-tiny"
 """The segmenter to take without a GPU."""
-
-Colors = tuple[tuple[float, ...], tuple[float, ...]]
-"""Mean and standard deviation per channel, of values from 0 to 1."""
-_IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-_HALF = (0.5,) * 3, (0.5,) * 3
 
 
 class Architecture(NamedTuple):
@@ -40,12 +36,12 @@ class Architecture(NamedTuple):
 
     class_name: str
     stretched: bool = True
-    colors: Colors = _IMAGENET
+    colors: Colors = IMAGENET
     packages: tuple[str, ...] = ()
 
 
 _SAM2 = Architecture("Sam2Model")
-_SAM3 = Architecture("Sam3TrackerModel", colors=_HALF)
+_SAM3 = Architecture("Sam3TrackerModel", colors=HALF)
 _EDGETAM = Architecture("EdgeTamModel", packages=("timm", "torchvision"))
 ARCHITECTURES = {
     "sam": Architecture("SamModel", stretched=False),
@@ -73,8 +69,8 @@ class ModelFrame:
 
     side: int
     stretched: bool
-    mean: tuple[float, ...] = _IMAGENET[0]
-    std: tuple[float, ...] = _IMAGENET[1]
+    mean: Triple = IMAGENET[0]
+    std: Triple = IMAGENET[1]
 
     def scaled_size(self, height: int, width: int) -> tuple[int, int]:
         """Return height and width of the image within the square."""
@@ -115,7 +111,6 @@ class SamPredictor:
 
     def __init__(self, model: Any, frame: ModelFrame, device: str, identity: Mapping[str, object]):
         self.model, self.frame, self.device = model.to(device), frame, device
-        self._decoder = PointDecoder(self.model)
         self.identity: Mapping[str, object] = dict(identity)
         self._last: tuple[np.ndarray | None, Any] = None, None
 
@@ -124,32 +119,32 @@ class SamPredictor:
         size = crop.shape[:2]
         if self._last[0] is not crop:
             self._last = crop, fitting(self._features, [crop], "photos")[0]
-        features = self._last[1]
+        decoder = self._last[1]
         scaled = self.frame.scaled_points(points, *size)
         for start in range(0, len(scaled), settings.points_per_batch):
             batch, first = scaled[start : start + settings.points_per_batch], start
-            for logits, iou in fitting(partial(self._answers, features), batch, "points"):
+            for logits, iou in fitting(partial(self._answers, decoder), batch, "points"):
                 # before masks are enlarged, which costs time and memory
                 wanted = np.isin(np.arange(3), settings.looked_at) & (iou > settings.min_predicted_iou)
                 for masks in self._enlarged(logits, iou, np.argwhere(wanted), size, settings):
                     yield masks._replace(point=first + masks.point)
                 first += len(iou)
 
-    def _features(self, crops: list[Pixels]) -> SharedImage:
+    def _features(self, crops: list[Pixels]) -> PointDecoder:
         """Run the image encoder on the single crop of this batch."""
         import torch
 
         with torch.inference_mode():  # never across a yield: it would hold in the caller
             pixels = torch.from_numpy(self.frame.pixel_values(crops[0]))[None].to(self.device)
-            return self._decoder.share(self.model.get_image_embeddings(pixels))
+            return PointDecoder(self.model, self.model.get_image_embeddings(pixels))
 
-    def _answers(self, image: SharedImage, points: Float32[np.ndarray, "n 2"]) -> tuple[Any, Vectors]:
+    def _answers(self, decoder: PointDecoder, points: Float32[np.ndarray, "n 2"]) -> tuple[Any, Vectors]:
         """Return logits of three masks per point, (p, 3, h, w) over the square, and their predicted IoU."""
         import torch
 
         with torch.inference_mode():
-            masks, iou = self._decoder.answers(image, points)
-            return masks, _array(iou)
+            masks, iou = decoder.answers(points)
+            return masks, as_rows(iou)
 
     def _enlarged(
         self,
@@ -160,25 +155,22 @@ class SamPredictor:
         settings: PointMaskSettings,
     ) -> Iterator[PointMasks]:
         """Yield the stable masks at the size of the crop. wanted: point and output of each mask."""
+        import torch
+
         chunk = max(1, _CHUNK_FLOATS // max(size[0] * size[1], self.frame.side**2))
         for start in range(0, len(wanted), chunk):
             points, outputs = wanted[start : start + chunk].T
-            good, masks, stability = self._stable(logits[points, outputs], size, settings)
-            yield PointMasks(masks, iou[points, outputs][good], stability, outputs[good], points[good])
-
-    def _stable(
-        self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
-    ) -> tuple[OtherFlags, Bool[np.ndarray, "n h w"], Numbers]:
-        """Return which masks are stable enough, and those at the size of the crop with their stability."""
-        import torch
-
-        with torch.inference_mode():
-            enlarged = self.frame.enlarged(logits, size[0], size[1])
-            strict = (enlarged > settings.stability_offset).flatten(1).sum(1)
-            lax = (enlarged > -settings.stability_offset).flatten(1).sum(1)
-            stability = strict / lax.clamp(min=1)  # nothing above the laxer bound: 0
-            good = stability >= settings.min_stability
-            return good.cpu().numpy(), (enlarged[good] > 0).cpu().numpy(), _array(stability[good])
+            with torch.inference_mode():
+                enlarged = self.frame.enlarged(logits[points, outputs], size[0], size[1])
+                strict, lax = (
+                    (enlarged > bound).flatten(1).sum(1)
+                    for bound in (settings.stability_offset, -settings.stability_offset)
+                )
+                stability = strict / lax.clamp(min=1)  # nothing above the laxer bound: 0
+                stable = stability >= settings.min_stability
+                masks, good = (enlarged[stable] > 0).cpu().numpy(), stable.cpu().numpy()
+                sure = as_rows(stability[stable])
+            yield PointMasks(masks, iou[points, outputs][good], sure, outputs[good], points[good])
 
 
 def load_segmenter(
@@ -206,14 +198,14 @@ def load_segmenter(
         return GraphSegmenter(threads=threads)
     models_library()
     device = chosen_device(device)
-    folder = model_folder(name)
+    called, folder = model_folder(name)
     architecture = _architecture(name, folder)
     files = weight_files(folder)
     model = load_model(architecture.class_name, folder)
-    mean, std = read_normalization(folder, architecture.colors)
+    settings_file, prepared = processor_settings(folder)
+    mean, std = colors_of(prepared, settings_file, architecture.colors)
     side = int(model.config.prompt_encoder_config.image_size)  # in which points are placed
     frame = ModelFrame(side, architecture.stretched, mean, std)
-    called = folder.resolve().name if Path(name).expanduser().is_dir() else name
     identity = {
         "name": called, "architecture": architecture.class_name, "weights": weights_hash(files),
         "side": side, "mean": list(mean), "std": list(std),
@@ -240,27 +232,3 @@ def _architecture(name: str, folder: Path) -> Architecture:
             f"(the torchvision of the installed torch); {CPU_SEGMENTER} needs neither"
         )
     return architecture
-
-
-def read_normalization(folder: Path, default: Colors = _IMAGENET) -> Colors:
-    """Read mean and standard deviation per channel (of 0 to 1) from the model's folder, else the default.
-
-    Raises: FormatError: the file has other than three numbers, or deviations that are not positive.
-    """
-    path = folder / "preprocessor_config.json"
-    settings = read_json(path) if path.is_file() else {}
-    if not path.is_file() and (folder / "processor_config.json").is_file():
-        path = folder / "processor_config.json"
-        whole = read_json(path)
-        settings = whole.get("image_processor", {}) if isinstance(whole, dict) else whole
-    if not isinstance(settings, dict):
-        raise FormatError(f"{path}: expected an object, got {excerpt(settings)}")
-    mean = as_vector(settings.get("image_mean", list(default[0])), 3, f"{path}: image_mean")
-    std = as_vector(settings.get("image_std", list(default[1])), 3, f"{path}: image_std")
-    if min(std) <= 0:
-        raise FormatError(f"{path}: image_std: expected positive numbers, got {std.tolist()}")
-    return tuple(mean.tolist()), tuple(std.tolist())
-
-
-def _array(tensor: Any) -> Float32[np.ndarray, "*shape"]:
-    return np.asarray(tensor.float().cpu().numpy())

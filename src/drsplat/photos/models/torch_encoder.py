@@ -1,10 +1,10 @@
 """Encoders that compute with torch: batches, cached texts, unit vectors. Subclasses run a model."""
 
 from abc import ABC, abstractmethod
-from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from ...errors import FormatError, InputError
 from ...scene.encoders import EncoderIdentity
 from .devices import fitting
 from .preprocessing import Preprocessing
+from .pretrained import weights_hash
 
 BATCH_BYTES = {"cpu": 5 << 20, "mps": 20 << 20, "cuda": 80 << 20}
 """Input bytes per pass by device: 8 images of 224 pixels on a CPU, where more do not fit its caches."""
@@ -28,10 +29,13 @@ class TorchEncoder(ABC):
     The last MAX_CACHED_TEXTS texts are cached.
     """
 
-    def __init__(self, identity: EncoderIdentity, preprocessing: Preprocessing, device: str, dtype: str) -> None:
-        self.identity, self.preprocessing, self.device, self.dtype = identity, preprocessing, device, dtype
+    def __init__(
+        self, name: str, dim: int, weights: list[Path], preprocessing: Preprocessing, device: str, dtype: str
+    ) -> None:
+        self.identity = EncoderIdentity(name, dim, weights_hash(weights), str(preprocessing))
+        self.preprocessing, self.device, self.dtype = preprocessing, device, dtype
         self.batch = max(1, BATCH_BYTES[device] // (12 * preprocessing.side**2))
-        self._texts: OrderedDict[str, np.ndarray] = OrderedDict()
+        self._texts: dict[str, Any] = {}
 
     def encode_images(self, images: Sequence[OtherPixels]) -> Embeddings:
         """Return unit vectors of images of any size, in their order; one batch at a time is in memory.
@@ -55,17 +59,15 @@ class TorchEncoder(ABC):
         FormatError: a vector without direction.
         """
         self._check_texts(texts)
-        new = [text for text in dict.fromkeys(texts) if text not in self._texts]
+        rows = {text: self._texts.pop(text, None) for text in texts}
+        new = [text for text, row in rows.items() if row is None]
         for start in range(0, len(new), TEXTS_PER_BATCH):
-            block = slice(start, start + TEXTS_PER_BATCH)
-            rows = self._unit([self._text_rows(new[block])], "text")
-            self._texts.update(zip(new[block], rows, strict=True))
-        for text in texts:
-            self._texts.move_to_end(text)
-        vectors = [self._texts[text] for text in texts]
-        while len(self._texts) > MAX_CACHED_TEXTS:
-            self._texts.popitem(last=False)
-        return np.stack(vectors) if vectors else np.empty((0, self.identity.dim), np.float32)
+            block = new[start : start + TEXTS_PER_BATCH]
+            rows |= zip(block, self._unit([self._text_rows(block)], "text"), strict=True)
+        self._texts |= rows  # so the last ones asked for come last
+        for text in list(self._texts)[:-MAX_CACHED_TEXTS]:
+            self._texts.pop(text, None)
+        return np.stack([rows[text] for text in texts]) if rows else np.empty((0, self.identity.dim), np.float32)
 
     @abstractmethod
     def _features(self, values: Any) -> np.ndarray:
@@ -91,12 +93,6 @@ class TorchEncoder(ABC):
         empty = [text for text in texts if not text.strip()]
         if empty:
             raise InputError(f"{empty[0]!r} is empty: name an object, e.g. 'a red mug'")
-
-    def _check_lengths(self, texts: Sequence[str], lengths: Sequence[int], most: int) -> None:
-        """Check the numbers of tokens. Raises: InputError: a text has more than the model reads."""
-        if max(lengths) > most:
-            text = texts[int(np.argmax(lengths))]
-            raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")
 
     def _unit(self, blocks: Sequence[np.ndarray], what: str) -> Embeddings:
         rows = np.concatenate([np.empty((0, self.identity.dim), np.float32), *blocks])

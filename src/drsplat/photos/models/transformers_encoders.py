@@ -15,19 +15,13 @@ import numpy as np
 
 from ...errors import FormatError, InputError
 from ...formats.json_files import excerpt
-from ...scene.encoders import EncoderIdentity
 from .devices import chosen_device, chosen_dtype
-from .libraries import model_class, models_library
+from .libraries import model_class
 from .open_clip_settings import config_arguments, open_clip_preprocessing
-from .preprocessing import Preprocessing, read_preprocessing
-from .pretrained import load_model, load_tokenizer, model_errors, model_type, weight_files, weights_hash
+from .preprocessing import HALF, IMAGENET, OPENAI, Colors, Preprocessing, read_preprocessing
+from .pretrained import OPEN_CLIP, OPEN_CLIP_CONFIG, load_model, load_tokenizer, model_errors, model_type, weight_files
 from .torch_encoder import TorchEncoder, as_rows
-from .weight_names import OPEN_CLIP, OPEN_CLIP_CONFIG
 
-_HALF = ((0.5,) * 3, (0.5,) * 3)
-_OPENAI = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
-_IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-_UNCHANGED = ((0.0,) * 3, (1.0,) * 3)
 _UNUSED = ("mask_token", "logit_scale", "logit_bias", "temperature")
 
 
@@ -40,7 +34,7 @@ class Family(NamedTuple):
     """
 
     class_name: str
-    colors: tuple[tuple[float, ...], tuple[float, ...]]
+    colors: Colors
     filter: str = "bicubic"
     stretch: bool = False
     texts: bool = True
@@ -50,13 +44,13 @@ class Family(NamedTuple):
 
 
 FAMILIES = {
-    "clip": Family("CLIPModel", _OPENAI),
-    "metaclip_2": Family("MetaClip2Model", _OPENAI),
-    "siglip": Family("SiglipModel", _HALF, stretch=True, fixed_length=True),
-    "siglip2": Family("Siglip2Model", _HALF, "bilinear", fixed_length=True, patches=True),
-    "dinov2": Family("Dinov2Model", _IMAGENET, texts=False),
-    "dinov3_vit": Family("DINOv3ViTModel", _IMAGENET, "bilinear", stretch=True, texts=False),
-    "tipsv2": Family("Tipsv2Model", _UNCHANGED, "bilinear", stretch=True, dense=True),
+    "clip": Family("CLIPModel", OPENAI),
+    "metaclip_2": Family("MetaClip2Model", OPENAI),
+    "siglip": Family("SiglipModel", HALF, stretch=True, fixed_length=True),
+    "siglip2": Family("Siglip2Model", HALF, "bilinear", fixed_length=True, patches=True),
+    "dinov2": Family("Dinov2Model", IMAGENET, texts=False),
+    "dinov3_vit": Family("DINOv3ViTModel", IMAGENET, "bilinear", stretch=True, texts=False),
+    "tipsv2": Family("Tipsv2Model", ((0.0,) * 3, (1.0,) * 3), "bilinear", stretch=True, dense=True),
 }
 """Families by model_type of config.json. SigLIP 2 at a fixed resolution is "siglip", its NaFlex "siglip2".
 
@@ -72,10 +66,11 @@ class TransformersEncoder(TorchEncoder):
     def __init__(self, name: str, folder: Path, device: str = "auto", dtype: str = "auto") -> None:
         """Load the model. Raises: as `load_encoder`, except for the hub's errors."""
         self._family, self._folder, files = family_of(name, folder), folder, weight_files(folder)
-        models_library()
         device = chosen_device(device)
         dtype = chosen_dtype(dtype, device)
-        self._model = _model(self._family.class_name, folder, files).to(device)
+        by_open_clip = files[0].name == OPEN_CLIP
+        model = load_open_clip(folder) if by_open_clip else load_model(self._family.class_name, folder, _UNUSED)
+        self._model = model.to(device)
         # cast the vision weights once: autocast would do it for every batch, a tenth of the time
         parts = ("vision_model", "visual_projection") if self._family.texts else ()
         for part in [getattr(self._model, name, None) for name in parts] or [self._model]:
@@ -83,9 +78,7 @@ class TransformersEncoder(TorchEncoder):
                 part.to(getattr(import_module("torch"), dtype))
         preprocessing = self._read_preprocessing()
         dim = getattr(self._model.config, "projection_dim", None) or self._vision.hidden_size
-        super().__init__(
-            EncoderIdentity(name, dim, weights_hash(files), str(preprocessing)), preprocessing, device, dtype
-        )
+        super().__init__(name, dim, files, preprocessing, device, dtype)
         self._tokenizer: Any = None
 
     @property
@@ -94,14 +87,17 @@ class TransformersEncoder(TorchEncoder):
 
     def _read_preprocessing(self) -> Preprocessing:
         """Return the preprocessing. Raises: FormatError: the model does not take images of that size."""
-        published = _published(self._family, self._vision)
-        if self._family.class_name == "CLIPModel":
+        kind, vision = self._family, self._vision
+        side = vision.patch_size * isqrt(vision.num_patches) if kind.patches else vision.image_size
+        side = side if kind.texts else 224  # DINOv2's config has the side of its last training, 518
+        published = Preprocessing(side, kind.filter, *kind.colors, stretch=kind.stretch)
+        if kind.class_name == "CLIPModel":
             published = open_clip_preprocessing(self._folder, published)
         preprocessing = read_preprocessing(self._folder, published)
-        if self._family.dense:  # its patches lie on all of the photo
+        if kind.dense:  # its patches lie on all of the photo
             preprocessing = replace(preprocessing, stretch=True)
-        side, patch, kind = preprocessing.side, self._vision.patch_size, self._family
-        fixed = self._vision.image_size if kind.texts and not (kind.patches or kind.dense) else None
+        side, patch = preprocessing.side, vision.patch_size
+        fixed = vision.image_size if kind.texts and not (kind.patches or kind.dense) else None
         if side % patch or fixed not in (None, side):
             raise FormatError(
                 f"{self._folder}: its images are scaled to {side} pixels, the model expects "
@@ -110,20 +106,17 @@ class TransformersEncoder(TorchEncoder):
         return preprocessing
 
     def _features(self, values: Any) -> np.ndarray:
-        inputs = self._patches(values) if self._family.patches else {"pixel_values": values}
+        inputs, size = {"pixel_values": values}, self._vision.patch_size
+        if self._family.patches:  # squares, row by row; within a square by row, column, channel
+            torch, count, along = import_module("torch"), len(values), values.shape[-1] // size
+            cut = values.reshape(count, 3, along, size, along, size).permute(0, 2, 4, 3, 5, 1)
+            inputs = {
+                "pixel_values": cut.reshape(count, along * along, -1),
+                "pixel_attention_mask": torch.ones(count, along * along, dtype=torch.int32, device=values.device),
+                "spatial_shapes": torch.full((count, 2), along, device=values.device),
+            }
         output = (self._model.get_image_features if self._family.texts else self._model)(**inputs)
         return as_rows(output.pooler_output)
-
-    def _patches(self, values: Any) -> dict[str, Any]:
-        """Cut (b, 3, s, s) into squares, row by row; within a square by row, column, channel."""
-        torch, size = import_module("torch"), self._vision.patch_size
-        count, along = len(values), values.shape[-1] // size
-        cut = values.reshape(count, 3, along, size, along, size).permute(0, 2, 4, 3, 5, 1)
-        return {
-            "pixel_values": cut.reshape(count, along * along, -1),
-            "pixel_attention_mask": torch.ones(count, along * along, dtype=torch.int32, device=values.device),
-            "spatial_shapes": torch.full((count, 2), along, device=values.device),
-        }
 
     def _check_texts(self, texts: Sequence[str]) -> None:
         if not self._family.texts:
@@ -143,7 +136,10 @@ class TransformersEncoder(TorchEncoder):
         self._tokenizer = self._tokenizer or load_tokenizer(self._folder)
         fixed, most = (self._family.fixed_length, self._model.config.text_config.max_position_embeddings)
         texts = [text.lower() for text in texts] if fixed else list(texts)
-        self._check_lengths(texts, [len(ids) for ids in self._tokenizer(texts)["input_ids"]], most)
+        lengths = [len(ids) for ids in self._tokenizer(texts)["input_ids"]]
+        if max(lengths) > most:
+            text = texts[int(np.argmax(lengths))]
+            raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")
         padded = self._tokenizer(
             texts, padding="max_length" if fixed else True, max_length=most if fixed else None, return_tensors="pt"
         )
@@ -159,20 +155,6 @@ def family_of(name: str, folder: Path) -> Family:
             f"{name}: its architecture is '{kind}', not an encoder that drsplat knows ({', '.join(FAMILIES)})"
         )
     return FAMILIES[kind]
-
-
-def _model(class_name: str, folder: Path, files: list[Path]) -> Any:
-    if files[0].name == OPEN_CLIP:
-        return load_open_clip(folder)
-    return load_model(class_name, folder, _UNUSED)
-
-
-def _published(family: Family, vision: Any) -> Preprocessing:
-    """Return the published preprocessing, for folders without a file of it."""
-    side = vision.patch_size * isqrt(vision.num_patches) if family.patches else vision.image_size
-    side = side if family.texts else 224  # DINOv2's config has the side of its last training, 518
-    mean, std = family.colors
-    return Preprocessing(side, family.filter, tuple(mean), tuple(std), stretch=family.stretch)  # type: ignore[arg-type]
 
 
 class Tensor(NamedTuple):
@@ -201,7 +183,11 @@ def load_open_clip(folder: Path) -> Any:
             f"{folder}: {OPEN_CLIP} is read as a CLIP, and config.json says '{model_type(folder)}': "
             "give a folder with model.safetensors as transformers saves it"
         )
-    config = _config(folder)
+    kind = model_class("CLIPConfig")
+    has_config = (folder / "config.json").is_file()
+    settings = {} if has_config else config_arguments(folder / OPEN_CLIP_CONFIG)
+    with model_errors(folder, "CLIPConfig"):
+        config = kind.from_pretrained(str(folder), local_files_only=True) if has_config else kind(**settings)
     weights = import_module("safetensors.torch").load_file(folder / OPEN_CLIP)
     state = renamed(weights, config, str(folder / OPEN_CLIP))
     return load_model("CLIPModel", folder, config=config, state_dict=state)
@@ -264,16 +250,6 @@ def tensors(config: Any) -> Iterator[Tensor]:
     yield from _layers("", "text_model.", text)
     yield from _linear("ln_final", "text_model.final_layer_norm", words)
     yield Tensor("text_projection", (words, dim), ("text_projection.weight",), True)
-
-
-def _config(folder: Path) -> Any:
-    kind = model_class("CLIPConfig")
-    if (folder / "config.json").is_file():
-        with model_errors(folder, "CLIPConfig"):
-            return kind.from_pretrained(str(folder), local_files_only=True)
-    settings = config_arguments(folder / OPEN_CLIP_CONFIG)
-    with model_errors(folder, "CLIPConfig"):
-        return kind(**settings)
 
 
 def _layers(ours: str, theirs: str, tower: Any) -> Iterator[Tensor]:

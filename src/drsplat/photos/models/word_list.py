@@ -1,13 +1,14 @@
 """Which words a query is contrasted with."""
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ...base.arrays import Embedding, Embeddings, Float32
+from ...base.arrays import Embeddings, Float32
 from ...errors import InputError
 from ...formats.vocabulary import VocabularyEncoder, spellings
 from ...scene.encoders import Encoder
@@ -62,7 +63,12 @@ def listed_words(encoder: Encoder) -> tuple[Sequence[str], Embeddings]:
     """Return the texts of `list_vectors`, and these."""
     if encoder not in _EMBEDDED:
         if isinstance(encoder, VocabularyEncoder):
-            texts = _spread_over(encoder.texts)
+            texts: Sequence[str] = encoder.texts
+            known = set(NOUNS)
+            if len(texts) > MAX_TEXTS:  # the nouns of the list and others spread over the vocabulary
+                nouns, others = ([text for text in texts if (text in known) == of_list] for of_list in (True, False))
+                spread = np.linspace(0, len(others) - 1, MAX_TEXTS - len(nouns)).astype(int)
+                texts = [*nouns, *(others[at] for at in np.unique(spread))]
             _EMBEDDED[encoder] = texts, np.asarray(encoder.encode_texts(texts), np.float32)
         else:
             _EMBEDDED[encoder] = known_words(encoder, getattr(encoder, "nouns", None) or broad_list())
@@ -86,26 +92,12 @@ def known_words(encoder: Encoder, words: Sequence[str]) -> tuple[list[str], Embe
     try:
         return list(words), np.asarray(encoder.encode_texts(words), np.float32)
     except InputError:  # an encoder of some words, or of short ones
-        pairs = [(word, vector) for word in words for vector in _if_known(encoder, word)]
-    vectors = np.asarray([vector for _, vector in pairs], np.float32)
-    return [word for word, _ in pairs], vectors.reshape(len(pairs), encoder.identity.dim)
-
-
-def _if_known(encoder: Encoder, noun: str) -> Sequence[Embedding]:
-    try:
-        return list(encoder.encode_texts([noun]))
-    except InputError:
-        return ()
-
-
-def _spread_over(texts: Sequence[str]) -> Sequence[str]:
-    """Return all texts, or of a large vocabulary the nouns of the list and others spread over it."""
-    if len(texts) <= MAX_TEXTS:
-        return texts
-    nouns = [text for text in texts if text in set(NOUNS)]
-    others = [text for text in texts if text not in set(NOUNS)]
-    spread = np.linspace(0, len(others) - 1, MAX_TEXTS - len(nouns)).astype(int)
-    return [*nouns, *(others[at] for at in np.unique(spread))]
+        known: dict[str, Embeddings] = {}
+    for word in words:
+        with suppress(InputError):
+            known[word] = encoder.encode_texts([word])
+    rows = np.asarray(list(known.values()), np.float32)
+    return list(known), rows.reshape(len(known), encoder.identity.dim)
 
 
 def broad_list() -> tuple[str, ...]:

@@ -25,28 +25,10 @@ SYNONYMS = {
 }  # fmt: skip
 """Words at a cosine of SYNONYM_COSINE to each other."""
 
-IGNORED = frozenset(
-    [
-        "a",
-        "an",
-        "and",
-        "any",
-        "anything",
-        "in",
-        "is",
-        "it",
-        "of",
-        "on",
-        "one",
-        "some",
-        "something",
-        "that",
-        "the",
-        "to",
-        "where",
-        "with",
-    ]
-)
+IGNORED = frozenset({
+    "a", "an", "and", "any", "anything", "in", "is", "it", "of", "on", "one", "some", "something", "that", "the", "to",
+    "where", "with",
+})  # fmt: skip
 
 
 class WordEncoder:
@@ -67,25 +49,19 @@ class WordEncoder:
 
         Raises: InputError: a text without any word.
         """
-        return np.stack([_text_vector(text) for text in texts]).astype(np.float32)
+        totals = []
+        for text in texts:
+            words = words_of(text)
+            if not words:
+                raise InputError(f"{text!r} has no word to look for: name an object, e.g. 'red mug'")
+            totals.append(np.sum([_word_vector(word) for word in words], axis=0))
+        return np.stack([total / np.linalg.norm(total) for total in totals]).astype(np.float32)
 
 
 def words_of(text: str) -> list[str]:
     """Return the words that count, in singular: "The red mugs" gives red, mug."""
     words = re.findall(r"\w+", text.lower())
-    return [_singular(word) for word in words if word not in IGNORED]
-
-
-def _singular(word: str) -> str:
-    return word[:-1] if len(word) > 3 and word.endswith("s") and not word.endswith("ss") else word
-
-
-def _text_vector(text: str) -> Doubles:
-    words = words_of(text)
-    if not words:
-        raise InputError(f"{text!r} has no word to look for: name an object, e.g. 'red mug'")
-    total = np.sum([_word_vector(word) for word in words], axis=0)
-    return total / np.linalg.norm(total)
+    return [re.sub(r"^(\w{2,}[^\Ws])s$", r"\1", word) for word in words if word not in IGNORED]
 
 
 @lru_cache(maxsize=4096)

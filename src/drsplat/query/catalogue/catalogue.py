@@ -75,12 +75,12 @@ class Catalogue:
         Raises: FormatError: the folder holds something else, or a damaged one.
         """
         opened = cls(Path(path), vocabulary, encoder, device, threads, load)
-        current(opened.path)
+        opened._version()
         return opened
 
     def __len__(self) -> int:
         """Return the number of objects."""
-        snapshot = current(self.path)
+        snapshot = self._version()
         return 0 if snapshot is None else len(snapshot.all_rows)
 
     @property
@@ -115,13 +115,13 @@ class Catalogue:
             georeference = read_georeference(files.field.parent, files.capture)
         called = checked_name(name or opened.name)
         refuse_missing_parent(self.path)
-        snapshot = current(self.path)
+        snapshot = self._version()
         if snapshot is not None:
             snapshot.check_encoder(opened.field.encoder)
             _check_folder(snapshot, called, folder)
         entry, arrays = rows_of(opened, called, folder, georeference, track)
         with claimed_output(self.path, PATIENCE_S):
-            snapshot = current(self.path)
+            snapshot = self._version()
             if snapshot is not None:  # another writer may have come first
                 snapshot.check_encoder(opened.field.encoder)
                 _check_folder(snapshot, called, folder)
@@ -145,7 +145,7 @@ class Catalogue:
 
     def scenes(self) -> list[SceneEntry]:
         """Return the scenes by name, and whether their fields have changed. Raises: FormatError: damaged."""
-        snapshot = current(self.path)
+        snapshot = self._version()
         return [] if snapshot is None else listed_of(snapshot)
 
     def scene(self, name: str) -> Scene:
@@ -159,7 +159,7 @@ class Catalogue:
     @property
     def wants_index(self) -> bool:
         """True where the catalogue has no index and is so large that every answer takes long."""
-        snapshot = current(self.path)
+        snapshot = self._version()
         return snapshot is not None and len(snapshot.all_rows) > LARGE_ROWS and snapshot.contents.codebook is None
 
     def build_index(self) -> int:
@@ -220,20 +220,23 @@ class Catalogue:
 
         Raises: FormatError: damage.
         """
-        snapshot = current(self.path)
+        snapshot = self._version()
         return [] if snapshot is None else snapshot.verify()
 
     # --- private ---
 
-    def _snapshot(self, coded: bool = False) -> Snapshot:
-        """Return the current version, opened once by one thread: every query needs it. coded: with its codes."""
+    def _version(self, coded: bool = False) -> Snapshot | None:
+        """Return the current version, opened once by one thread; None if nothing was added yet. coded: with codes."""
         with self._opening:
             self._current = current(self.path, self._current, coded)
-            if self._current is None:
-                raise InputError(
-                    f"{self.path}: no catalogue is here: `drsplat catalogue add {self.path} SCENE` makes one"
-                )
             return self._current
+
+    def _snapshot(self, coded: bool = False) -> Snapshot:
+        """Return the current version. Raises: InputError: nothing was added yet."""
+        snapshot = self._version(coded)
+        if snapshot is None:
+            raise InputError(f"{self.path}: no catalogue is here: `drsplat catalogue add {self.path} SCENE` makes one")
+        return snapshot
 
     def _opened(self, files: SceneFiles) -> Scene:
         return open_scene(

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ...base.arrays import Arrays, ArraysByName
-from ...field.codes import PQ, Codebook, Codes, load_codebook, pq_code, save_codebook, train_codebook
+from ...field.codes import PQ, Codebook, Codes, pq_code, save_codebook, train_codebook
 from ...formats.json_files import write_json
 from ...formats.replacing import claimed_output
 from ...formats.tensors import header_checksum, map_tensors, sealed, write_tensors
@@ -72,15 +72,14 @@ def _change(before: Snapshot, name: str, added: Scenes, removed: tuple[str, ...]
         if at not in absorbed
     ]
     if scenes or added:
-        codebook = None if contents.codebook is None else load_codebook(before.path / contents.codebook.name)
-        parts.append(_written(before.path, scenes + added, codebook))
+        parts.append(_written(before.path, scenes + added, before.codebook))
     _publish(before.path, contents, replace(contents, parts=tuple(parts), removed=removed))
 
 
 def _written(path: Path, scenes: Scenes, codebook: Codebook | None) -> PartEntry:
     """Write the files of a part."""
     arrays = {name: np.concatenate([of_scene[name] for _, of_scene in scenes]) for name in ROWS}
-    entries = [{**asdict(scene), "added": scene.added.isoformat()} for scene, _ in scenes]
+    entries = [{**vars(scene), "added": scene.added.isoformat()} for scene, _ in scenes]
     rows = _write(path, "rows", arrays, {"format": FORMAT, "scenes": json.dumps(entries)})
     return PartEntry(rows, None if codebook is None else _write_codes(path, arrays["descriptors"], codebook))
 

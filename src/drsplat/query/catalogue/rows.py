@@ -4,11 +4,12 @@ import io
 import json
 from collections.abc import Sequence, Sized
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Arrays, Embeddings, OtherPixels
+from ...base.arrays import Arrays, Embeddings, Float32, OtherPixels
 from ...drawing.cards import Card, card_sheet
 from ...errors import InputError
 from ...field.codes import Track
@@ -29,6 +30,15 @@ LARGEST = 127  # of a descriptor's numbers, as it is stored
 Picture = tuple[bytes, str]
 
 
+class Kept(NamedTuple):
+    """An object as a catalogue keeps it. thumbnail: b"" for none."""
+
+    match: Match
+    descriptors: Float32[np.ndarray, "_ D"]
+    record: Record
+    thumbnail: bytes
+
+
 def rows_of(
     scene: Scene, name: str, folder: str, georeference: Georeference | None, track: Track
 ) -> tuple[SceneEntry, Arrays]:
@@ -39,41 +49,37 @@ def rows_of(
     objects, matches = objects_of(scene.field), scene.objects
     pictures = _pictures(scene, matches, track)
     details = zip(matches, _tiles(scene, matches), scene.object_names(), pictures, strict=True)
-    records = [_record(scene, match, tile, word, picture) for match, tile, word, picture in details]
+    described = [objects.descriptors_of(node) for node in objects.things.tolist()]
+    kept = [
+        Kept(match, vectors, _record(scene, match, tile, word, picture), picture[0])
+        for vectors, (match, tile, word, picture) in zip(described, details, strict=True)
+    ]
     added = datetime.now(UTC).replace(microsecond=0)
-    entry = SceneEntry(
-        name, len(matches), int(scene.agreed.sum()), added, scene.field.fingerprint, folder, "current"
-    )  # fmt: skip
-    return entry, scene_arrays(
-        matches,
-        [objects.descriptors_of(node) for node in objects.things.tolist()],
-        scene.field.encoder.dim,
-        records,
-        [data for data, _ in pictures],
-        sketch_of(scene).to_bytes(),
-        georeference,
-    )
+    agreed = int(scene.agreed.sum())
+    entry = SceneEntry(name, len(kept), agreed, added, scene.field.fingerprint, folder, "current")
+    return entry, scene_arrays(kept, scene.field.encoder.dim, sketch_of(scene).to_bytes(), georeference)
 
 
-def scene_arrays(
-    matches: Sequence[Match], descriptors: Sequence[np.ndarray], dim: int, records: Sequence[Record],
-    thumbnails: Sequence[bytes], sketch: bytes, georeference: Georeference | None = None,
-) -> Arrays:  # fmt: skip
-    """Return the arrays of the objects of one scene. Raises: InputError: a descriptor without a direction."""
-    count, lines = len(matches), [json.dumps(record._asdict()).encode() for record in records]
-    centers = np.array([match.center for match in matches], np.float64).reshape(count, 3)
+def scene_arrays(kept: Sequence[Kept], dim: int, sketch: bytes, georeference: Georeference | None = None) -> Arrays:
+    """Return the arrays of the objects of one scene. dim: of descriptors.
+
+    Raises: InputError: a descriptor without a direction.
+    """
+    count, lines = len(kept), [json.dumps(one.record._asdict()).encode() for one in kept]
+    centers = np.array([one.match.center for one in kept], np.float64).reshape(count, 3)
     positions = np.full((count, 3), np.nan)
     if georeference is not None and count:
         positions = georeference.positions(centers)
+    descriptors = [one.descriptors for one in kept]
     return {
         "centers": centers,
         "positions": positions,
-        "extents": np.array([match.extent for match in matches], np.float32).reshape(count, 3),
-        "axes": np.array([match.axes for match in matches], np.float32).reshape(count, 3, 3),
+        "extents": np.array([one.match.extent for one in kept], np.float32).reshape(count, 3),
+        "axes": np.array([one.match.axes for one in kept], np.float32).reshape(count, 3, 3),
         "descriptors": _stored(np.concatenate([np.empty((0, dim), np.float32), *descriptors], dtype=np.float32)),
         "descriptor_counts": _lengths(descriptors),
         **_bytes("records", "record_bytes", lines),
-        **_bytes("thumbnails", "thumbnail_bytes", thumbnails),
+        **_bytes("thumbnails", "thumbnail_bytes", [one.thumbnail for one in kept]),
         **_bytes("sketches", "sketch_bytes", [sketch]),
     }
 

@@ -213,13 +213,28 @@ class Snapshot:
         ]
 
     @cached_property
-    def codes(self) -> list[PQCode] | None:
-        """Codes of each part's descriptors; None without an index. Raises: FormatError: damaged."""
+    def codebook(self) -> Codebook | None:
+        """Codebook of the index; None without one. Raises: FormatError: damaged."""
         file = self.contents.codebook
         if file is None:
             return None
         try:
-            codebook = self._open(file, self._read_codebook)
+            codebook = self._open(file, lambda file: load_codebook(self.path / file.name))
+        except (FormatError, InputError) as error:
+            raise FormatError(f"{error}: {CODES_CURE}") from error
+        if not self.encoder.matches(codebook.encoder):
+            raise FormatError(
+                f"{file.name}: a codebook of {codebook.encoder.name}, not of this catalogue's encoder: {CODES_CURE}"
+            )
+        return codebook
+
+    @cached_property
+    def codes(self) -> list[PQCode] | None:
+        """Codes of each part's descriptors; None without an index. Raises: FormatError: damaged."""
+        codebook = self.codebook
+        if codebook is None:
+            return None
+        try:
             pairs = zip(self.contents.parts, self.parts, strict=True)
             return [self._codes_of(entry.codes, codebook, part) for entry, part in pairs]
         except (FormatError, InputError) as error:
@@ -229,12 +244,6 @@ class Snapshot:
         if file.name not in self.opened:
             self.opened[file.name] = read(file)
         return self.opened[file.name]  # type: ignore[return-value]
-
-    def _read_codebook(self, file: FileEntry) -> Codebook:
-        codebook = load_codebook(self.path / file.name)
-        if not self.encoder.matches(codebook.encoder):
-            raise FormatError(f"{file.name}: a codebook of {codebook.encoder.name}, not of this catalogue's encoder")
-        return codebook
 
     def _codes_of(self, file: FileEntry | None, codebook: Codebook, part: Part) -> PQCode:
         if file is None:

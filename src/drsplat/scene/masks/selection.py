@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Array, Float64, Indices, Int32, Int64, MaskIds, OtherIndices
+from ...base.arrays import Array, Float64, Indices, Int32, Int64, MaskIds
 from ...errors import InputError
 from .masks import LEVELS, Masks
 
@@ -61,7 +61,9 @@ def overlaps(masks: Masks) -> Int64[Array, "n n"]:
     from scipy.sparse import csr_array  # which readers of features do without
 
     starts, ends, owners = _runs(masks)
-    cuts = _marked(masks, starts, ends)
+    marks = np.zeros(masks.height * (masks.width + 1), bool)  # np.unique takes several times as long
+    marks[starts] = marks[ends] = True
+    cuts = np.flatnonzero(marks)
     first, last = np.searchsorted(cuts, starts), np.searchsorted(cuts, ends)
     counts = last - first
     pieces = np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
@@ -72,14 +74,6 @@ def overlaps(masks: Masks) -> Int64[Array, "n n"]:
     member = csr_array((np.ones(len(pieces), np.int32), *inside), shape=shape)
     sized = csr_array((np.diff(cuts).astype(np.int32)[pieces], *inside), shape=shape)
     return (member @ sized.T).toarray().astype(np.int64)
-
-
-def _marked(masks: Masks, *places: OtherIndices) -> Indices:
-    """Return every place once, ascending: np.unique by a mark per pixel, several times as fast."""
-    marks = np.zeros(masks.height * (masks.width + 1), bool)
-    for some in places:
-        marks[some] = True
-    return np.flatnonzero(marks).astype(np.int64)
 
 
 def _runs(masks: Masks) -> tuple[Indices, Indices, Indices]:

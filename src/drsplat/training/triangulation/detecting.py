@@ -18,7 +18,7 @@ import numpy as np
 from skimage.color import rgb2gray
 from skimage.feature import SIFT
 
-from ...base.arrays import Colors, Flags, Numbers, Pixels, PlanePoints, UInt8
+from ...base.arrays import Colors, Numbers, PlanePoints, UInt8
 from ...base.system import end_with
 from ...errors import InputError
 from ...scene.lens import undistort_points
@@ -102,11 +102,6 @@ def _packed(detections: Sequence[Detection]) -> bytes:
     return buffer.getvalue()
 
 
-def _view(path: str, width: int, height: int) -> View:
-    """Return a view of the photo with an identity pose; detection needs no other."""
-    return View(path, np.eye(3), np.eye(4), width, height, image_path=Path(path))
-
-
 def main(parent: int | None = None) -> None:
     """Read photos as JSON, [path, width, height] each, and write their detections to stdout.
 
@@ -114,52 +109,45 @@ def main(parent: int | None = None) -> None:
     """
     if parent is not None:
         end_with(parent)
-    photos = json.load(sys.stdin)
-    sys.stdout.buffer.write(_packed([detect(_view(*photo)) for photo in photos]))
+    # poses do not matter
+    views = [View(path, np.eye(3), np.eye(4), w, h, image_path=Path(path)) for path, w, h in json.load(sys.stdin)]
+    sys.stdout.buffer.write(_packed([detect(view) for view in views]))
 
 
 NOTHING = Detection(np.empty((0, 2)), np.empty(0, np.float32), np.empty((0, 3), np.uint8), np.empty((0, 128), np.uint8))
 
 
-def keypoints(view: View) -> Keypoints:
-    """Detect keypoints on the photo as stored: undoing the lens first would add the photo's border as an edge.
-
-    Raises: InputError, FormatError: as `load_image`.
-    Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints" (2004).
-    """
-    stored = as_stored(view)
-    return located(view, stored, detect(stored))
-
-
 def located(view: View, stored: View, detection: Detection) -> Keypoints:
-    """Return the detected keypoints on the pinhole of a view. stored: `as_stored(view)`."""
+    """Return the keypoints detected on the photo as stored, on the pinhole of a view.
+
+    Undoing the lens before would add the photo's border as an edge. stored: `as_stored(view)`.
+    """
     scale = (view.width / stored.width, view.height / stored.height)
     pixels = undistort_points(view, detection.pixels * scale)
+    usable, mask = np.isfinite(pixels).all(1), load_mask(stored)
+    if mask is not None:
+        x, y = np.clip(detection.pixels.astype(np.intp), 0, (stored.width - 1, stored.height - 1)).T
+        usable &= mask[y, x]
     # the ascending indices of the `MAX_KEYPOINTS` usable keypoints of largest scale: these reappear most
     order = np.argsort(-detection.sigmas, kind="stable")
-    chosen = np.sort(
-        order[(np.isfinite(pixels).all(1) & _inside_mask(stored, detection.pixels))[order]][:MAX_KEYPOINTS]
-    )
+    chosen = np.sort(order[usable[order]][:MAX_KEYPOINTS])
     return Keypoints(pixels[chosen], detection.colors[chosen], detection.descriptors[chosen])
-
-
-def _inside_mask(stored: View, pixels: PlanePoints) -> Flags:
-    """Return which pixels of a stored photo lie inside its mask; all where it has none."""
-    mask = load_mask(stored)
-    if mask is None:
-        return np.ones(len(pixels), bool)
-    x, y = np.clip(pixels.astype(np.intp), 0, (stored.width - 1, stored.height - 1)).T
-    return mask[y, x]
 
 
 def detect(stored: View) -> Detection:
     """Run SIFT on the raster of `as_stored`.
 
     Raises: InputError, FormatError: as `load_image`.
+    Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints" (2004).
     """
     photo = load_image(stored)
-    sift = _detected(photo)
-    if sift is None:
+    if min(photo.shape[:2]) < MIN_SIDE_PIXELS:
+        return NOTHING
+    sift: Any = SIFT(upsampling=1, c_dog=MIN_CONTRAST)  # type: ignore[no-untyped-call]
+    try:
+        with np.errstate(all="ignore"):  # a patch without gradients divides by their sum
+            sift.detect_and_extract(rgb2gray(photo).astype(np.float32))
+    except (RuntimeError, ValueError):  # how scikit-image says that there is no texture
         return NOTHING
     rows, columns = np.rint(sift.positions).astype(np.intp).T
     pixels = sift.positions[:, ::-1].astype(np.float64) + 0.5  # centres are at half integers
@@ -171,25 +159,8 @@ def as_stored(view: View) -> View:
 
     Raises: InputError: no photo, or as `photo_size`.
     """
-    return _shrunk(replace(view, distortion=None))
-
-
-def _shrunk(view: View) -> View:
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
     width, height = photo_size(view.image_path)
     scale = min(1.0, MAX_SIDE_PIXELS / max(width, height))
-    return view.resized(max(1, round(width * scale)), max(1, round(height * scale)))
-
-
-@np.errstate(all="ignore")  # a patch without gradients divides by their sum
-def _detected(photo: Pixels) -> Any:
-    """Return a SIFT with its keypoints, or None for a photo without texture."""
-    if min(photo.shape[:2]) < MIN_SIDE_PIXELS:
-        return None
-    sift: Any = SIFT(upsampling=1, c_dog=MIN_CONTRAST)  # type: ignore[no-untyped-call]
-    try:
-        sift.detect_and_extract(rgb2gray(photo).astype(np.float32))
-    except (RuntimeError, ValueError):  # how scikit-image says that there is none
-        return None
-    return sift
+    return replace(view, distortion=None).resized(max(1, round(width * scale)), max(1, round(height * scale)))

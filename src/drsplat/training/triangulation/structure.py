@@ -19,6 +19,7 @@ from ...base.arrays import (
     OtherDoubles,
     OtherFlags,
     PlanePoints,
+    Points,
     RowIds,
     Vector3,
     WholeNumbers,
@@ -39,13 +40,6 @@ MIN_ANGLE_DEGREES = 1.5  # between the outermost rays and their middle; depth is
 MIN_DETERMINANT = 1e-9
 
 
-class Matches(NamedTuple):
-    """Matches of two photos. pairs: indices into their keypoints. alike: number before the epipolar test."""
-
-    pairs: Integer[np.ndarray, "m 2"]
-    alike: int
-
-
 class Tracks(NamedTuple):
     """Observations sorted by track, then photo: keypoint `keypoints[i]` of photo `photos[i]` shows `tracks[i]`."""
 
@@ -61,7 +55,7 @@ class Triangulation(NamedTuple):
     keypoints. agreeing: number of those that the poses allow: nearly all where the poses are right, few where not.
     """
 
-    positions: Float64[np.ndarray, "n 3"]
+    positions: Points
     colors: Colors
     photos: int
     alike: int
@@ -77,33 +71,23 @@ def triangulate(views: Sequence[View], *, threads: int = 0) -> Triangulation:
     Raises: InputError, FormatError: as `load_image`.
     Source: Hartley and Zisserman, "Multiple View Geometry" (2004), Ch. 9 and 12.
     """
-    ordered = _thinned(sorted(views, key=lambda view: view.name))
+    ordered = sorted(views, key=lambda view: view.name)
+    if len(ordered) > MAX_PHOTOS:
+        ordered = [ordered[i] for i in np.linspace(0, len(ordered) - 1, MAX_PHOTOS).round().astype(int)]
     stored = [as_stored(view) for view in ordered]
     detected = detect_all(stored, threads=threads)
     photo_keypoints = [located(*args) for args in zip(ordered, stored, detected, strict=True)]
     pairs = neighbours(ordered)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        matched = list(pool.map(lambda pair: _matches(ordered, photo_keypoints, pair), pairs))
-    tracks = join([len(k.pixels) for k in photo_keypoints], pairs, [m.pairs for m in matched])
+        sides = [zip([ordered[i] for i in ids], [photo_keypoints[i] for i in ids], strict=True) for ids in pairs.T]
+        matched = list(pool.map(lambda a, b: matches(*a, *b), *sides))
+    agreeing, alike = zip(*matched, strict=True) if matched else ((), ())
+    tracks = join([len(k.pixels) for k in photo_keypoints], pairs, agreeing)
     positions, colors = _points(ordered, photo_keypoints, tracks)
-    alike, agreeing = sum(m.alike for m in matched), sum(len(m.pairs) for m in matched)
-    return Triangulation(positions, colors, len(ordered), alike, agreeing)
+    return Triangulation(positions, colors, len(ordered), sum(alike), sum(map(len, agreeing)))
 
 
-def _matches(views: Sequence[View], keypoints: Sequence[Keypoints], pair: Integer[np.ndarray, "2"]) -> Matches:
-    first, second = pair
-    return matches(views[first], keypoints[first], views[second], keypoints[second])
-
-
-def _thinned(views: list[View]) -> list[View]:
-    if len(views) <= MAX_PHOTOS:
-        return views
-    return [views[i] for i in np.linspace(0, len(views) - 1, MAX_PHOTOS).round().astype(int)]
-
-
-def _points(
-    views: Sequence[View], keypoints: Sequence[Keypoints], tracks: Tracks
-) -> tuple[Float64[np.ndarray, "n 3"], Colors]:
+def _points(views: Sequence[View], keypoints: Sequence[Keypoints], tracks: Tracks) -> tuple[Points, Colors]:
     if len(tracks.tracks) == 0:
         return np.empty((0, 3)), np.empty((0, 3), np.uint8)
     # the row of each observation among the concatenated keypoints of all photos
@@ -139,8 +123,8 @@ def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
     return np.array(sorted(pairs), np.int64).reshape(-1, 2)
 
 
-def matches(first: View, a: Keypoints, second: View, b: Keypoints) -> Matches:
-    """Match mutually nearest descriptors, and keep the pairs that the poses allow."""
+def matches(first: View, a: Keypoints, second: View, b: Keypoints) -> tuple[Integer[np.ndarray, "m 2"], int]:
+    """Match mutually nearest descriptors; return the pairs that the poses allow, and the number of all."""
     pairs = _alike(a, b)
     # which pairs lie on each other's epipolar lines, to `MAX_EPIPOLAR_SHARE` of the photo's longer side
     x = a.pixels[pairs[:, 0]]
@@ -152,7 +136,7 @@ def matches(first: View, a: Keypoints, second: View, b: Keypoints) -> Matches:
     for lines, view in ((in_second, second), (in_first, first)):
         tolerance = MAX_EPIPOLAR_SHARE * max(view.size)
         fits &= residuals <= tolerance * np.linalg.norm(lines[:, :2], axis=1)
-    return Matches(pairs[fits], len(pairs))
+    return pairs[fits], len(pairs)
 
 
 def _alike(a: Keypoints, b: Keypoints) -> Integer[np.ndarray, "m 2"]:
@@ -161,11 +145,10 @@ def _alike(a: Keypoints, b: Keypoints) -> Integer[np.ndarray, "m 2"]:
         return np.empty((0, 2), np.int64)
     # compute squared distances of all descriptors. Exact in float32: integers below 2**24.
     left, right = a.descriptors.astype(np.float32), b.descriptors.astype(np.float32)
-    squares: np.ndarray = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * (left @ right.T)
-    distances2 = squares
+    distances2: np.ndarray = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * (left @ right.T)
     forward, backward = _nearest(distances2), _nearest(distances2.T)
-    mutual = (forward >= 0) & (backward[forward] == np.arange(len(forward)))
-    return np.stack([np.flatnonzero(mutual), forward[mutual]], axis=1)
+    (mutual,) = np.nonzero((forward >= 0) & (backward[forward] == np.arange(len(forward))))
+    return np.stack([mutual, forward[mutual]], axis=1)
 
 
 def _nearest(distances2: np.ndarray) -> WholeNumbers:
@@ -216,23 +199,15 @@ def join(
     return Tracks(numbered, photos[chosen], (order - starts[:-1][photos])[chosen])
 
 
-class Points(NamedTuple):
+class Met(NamedTuple):
     """Triangulated points. tracks: the track of each. used: the observations that agree with their track's point."""
 
-    positions: Float64[np.ndarray, "n 3"]
+    positions: Points
     tracks: WholeNumbers
     used: OtherFlags
 
 
-class _Rays(NamedTuple):
-    """Rays by observation. centers: from the mean camera, so that a scene may lie far from its origin."""
-
-    centers: Float64[np.ndarray, "n 3"]
-    directions: Float64[np.ndarray, "n 3"]
-    pixel: Doubles  # tolerance as a slope: tolerated pixels over the focal length
-
-
-def meet(views: Sequence[View], tracks: Tracks, pixels: PlanePoints, least: int) -> Points:
+def meet(views: Sequence[View], tracks: Tracks, pixels: PlanePoints, least: int) -> Met:
     """Triangulate each track, and return the points that at least `least` observations agree on.
 
     pixels: of each observation. In rounds of falling tolerance, observations that are off by more leave their track;
@@ -240,57 +215,59 @@ def meet(views: Sequence[View], tracks: Tracks, pixels: PlanePoints, least: int)
     Source: the linear-Eigen triangulation's geometric twin, Hartley and Zisserman, Sec. 12.2; weights ours.
     """
     mean_center = np.mean([view.center for view in views], axis=0)
-    rays = _rays(views, tracks.photos, pixels, mean_center)
+    centers, directions, slopes = _rays(views, tracks.photos, pixels, mean_center)
     count = int(tracks.tracks.max(initial=-1)) + 1
     used, weights = np.ones(len(pixels), bool), np.ones(len(pixels))
-    positions = np.zeros((count, 3))
-    for factor in TOLERANCE_FACTORS:
-        positions = _nearest_to_rays(rays, tracks.tracks, weights, count)
-        depths, errors = _off(rays, positions[tracks.tracks])
-        used = (depths > 0) & (errors <= factor * rays.pixel)
+    for factor in (*TOLERANCE_FACTORS, TOLERANCE_FACTORS[-1]):
+        positions = _nearest_to_rays(centers, directions, tracks.tracks, weights, count)
+        # the depth of each point along its ray, and its distance from the ray over the depth (NaN stays)
+        to_point = positions[tracks.tracks] - centers
+        depths = (to_point * directions).sum(1)
+        aside = np.linalg.norm(to_point - depths[:, None] * directions, axis=1)
+        errors = aside / np.maximum(depths, MIN_DETERMINANT)
+        before, used = used, (depths > 0) & (errors <= factor * slopes)
         weights = np.where(used, 1 / np.maximum(depths, MIN_DETERMINANT) ** 2, 0)
-    positions = _nearest_to_rays(rays, tracks.tracks, weights, count)
-    depths, errors = _off(rays, positions[tracks.tracks])
-    used &= (depths > 0) & (errors <= rays.pixel)
+    used &= before
     enough = np.bincount(tracks.tracks[used], minlength=count) >= least
     # each track's largest angle between a ray and the mean of all, in radians
-    means = _summed(rays.directions * used[:, None], tracks.tracks, count)
+    means = _summed(directions * used[:, None], tracks.tracks, count)
     means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), MIN_DETERMINANT)
-    sines = np.linalg.norm(np.cross(rays.directions, means[tracks.tracks]), axis=1)
+    sines = np.linalg.norm(np.cross(directions, means[tracks.tracks]), axis=1)
     largest = np.zeros(count)
     np.maximum.at(largest, tracks.tracks[used], np.arcsin(np.minimum(sines[used], 1)))
     enough &= largest >= np.radians(MIN_ANGLE_DEGREES)
-    return Points(positions[enough] + mean_center, np.flatnonzero(enough), used)
+    return Met(positions[enough] + mean_center, np.flatnonzero(enough), used)
 
 
-def _rays(views: Sequence[View], photos: WholeNumbers, pixels: PlanePoints, mean_center: Vector3) -> _Rays:
+def _rays(
+    views: Sequence[View], photos: WholeNumbers, pixels: PlanePoints, mean_center: Vector3
+) -> tuple[Points, Points, Doubles]:
+    """Return the centers and directions of rays by observation, and tolerances as slopes.
+
+    Centers are counted from the mean camera, so that a scene may lie far from its origin. A slope is of the tolerated
+    pixels over the focal length.
+    """
     homogeneous = np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1)
     to_world = np.array([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
     directions = np.einsum("oij,oj->oi", to_world[photos], homogeneous)
     centers = np.array([view.center - mean_center for view in views])
     slopes = np.array([MAX_REPROJECTION_SHARE * max(v.size) / v.K[0, 0] for v in views])
-    return _Rays(centers[photos], directions / np.linalg.norm(directions, axis=1, keepdims=True), slopes[photos])
+    return centers[photos], directions / np.linalg.norm(directions, axis=1, keepdims=True), slopes[photos]
 
 
-def _nearest_to_rays(rays: _Rays, tracks: RowIds, weights: OtherDoubles, count: int) -> Float64[np.ndarray, "n 3"]:
+def _nearest_to_rays(
+    centers: Points, directions: Points, tracks: RowIds, weights: OtherDoubles, count: int
+) -> Float64[np.ndarray, "t 3"]:
     """Return each track's point nearest to its rays; NaN where they are parallel or all weights are 0."""
-    across = np.eye(3) - rays.directions[:, :, None] * rays.directions[:, None, :]
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     across *= weights[:, None, None]
     matrices = _summed(across.reshape(-1, 9), tracks, count).reshape(-1, 3, 3)
-    sides = _summed(np.einsum("oij,oj->oi", across, rays.centers), tracks, count)
+    sides = _summed(np.einsum("oij,oj->oi", across, centers), tracks, count)
     scale = np.trace(matrices, axis1=1, axis2=2)
     solvable = np.linalg.det(matrices) > MIN_DETERMINANT * scale**3
     positions = np.full((count, 3), np.nan)
     positions[solvable] = np.linalg.solve(matrices[solvable], sides[solvable][..., None])[..., 0]
     return positions
-
-
-def _off(rays: _Rays, positions: Float64[np.ndarray, "n 3"]) -> tuple[Doubles, Doubles]:
-    """Return the depth of each point along its ray, and its distance from the ray over the depth (NaN stays)."""
-    to_point = positions - rays.centers
-    depths = (to_point * rays.directions).sum(1)
-    aside = np.linalg.norm(to_point - depths[:, None] * rays.directions, axis=1)
-    return depths, aside / np.maximum(depths, MIN_DETERMINANT)
 
 
 def _summed(values: Float64[np.ndarray, "m k"], tracks: RowIds, count: int) -> DoubleRows:

@@ -19,7 +19,6 @@ from ....base.arrays import (
     DoubleRows,
     Embeddings,
     Flags,
-    Float64,
     IndexRows,
     Indices,
     Int64,
@@ -28,10 +27,11 @@ from ....base.arrays import (
     OtherEmbeddings,
     OtherFlags,
     OtherIndices,
+    RowIds,
     WholeNumbers,
 )
 from ....base.contents import release
-from ..evidence import Evidence, MaskIds
+from ..evidence import Evidence, MaskIds, csr_of
 
 BLOCK_ROWS = 1024  # the embeddings of a step, 2 MB at 512 numbers, stay in the processor's cache
 BLOCK_CELLS = 1 << 19  # at most, in a block's tables: rows of many votes come in smaller blocks
@@ -59,7 +59,7 @@ class RowBlock:
         return table.take(self.columns[: self.active[entry], entry], axis=0)
 
 
-Rule = Callable[[RowBlock], Float64[np.ndarray, "n k"]]
+Rule = Callable[[RowBlock], DoubleRows]
 """A number per entry of a block."""
 
 
@@ -93,7 +93,7 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Numbers:
     return values
 
 
-def _blocks(order: OtherIndices, lengths: WholeNumbers) -> Iterator[Int64[np.ndarray, " b"]]:
+def _blocks(order: OtherIndices, lengths: WholeNumbers) -> Iterator[Indices]:
     """Yield rows by falling length in blocks of at most BLOCK_ROWS, and BLOCK_CELLS entries unless one row has more."""
     begin = 0
     while begin < len(order):
@@ -112,8 +112,8 @@ def with_weights(evidence: Evidence, data: Numbers) -> Evidence:
 
 def with_entries(matrix: csr_array, held: OtherFlags) -> csr_array:
     """Return a matrix of some of the entries alone."""
-    starts = np.append(0, np.cumsum(held))[matrix.indptr].astype(matrix.indptr.dtype)
-    return csr_array((matrix.data[held], matrix.indices[held], starts), shape=matrix.shape)
+    starts = np.append(0, np.cumsum(held))[matrix.indptr]
+    return csr_of(starts, matrix.indices[held], matrix.data[held], matrix.shape[1])
 
 
 def row_chunks(weights: csr_array) -> Iterator[slice]:
@@ -136,14 +136,24 @@ def of_columns(evidence: Evidence, kept: Flags) -> Evidence:
         indices.append(columns[held])
         data.append(values[held])
         lengths[rows.start + 1 : rows.stop + 1] = np.diff(np.append(0, np.cumsum(held))[starts - starts[0]])
-    indptr = np.cumsum(lengths).astype(old.indptr.dtype)
-    matrix = csr_array((np.concatenate(data), np.concatenate(indices), indptr), shape=old.shape)
-    return replace(evidence, weights=matrix)
+    weights = csr_of(np.cumsum(lengths), np.concatenate(indices), np.concatenate(data), old.shape[1])
+    return replace(evidence, weights=weights)
 
 
 def entry_rows(matrix: csr_array) -> Indices:
     """Return the row of each entry."""
     return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+
+
+def view_runs(views: RowIds, starts: WholeNumbers) -> np.ndarray:
+    """Return where entries of another photo, or of another row, begin; those of a photo are adjacent.
+
+    views: of the entries of some rows. starts: of each row, and the number of all entries.
+    """
+    new = np.zeros(len(views) + 1, np.bool_)
+    new[1:-1] = views[1:] != views[:-1]
+    new[starts] = True
+    return np.flatnonzero(new[:-1])
 
 
 def column_counts(weights: csr_array) -> Indices:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import DoubleRows, Doubles, Integer, Numbers, RowIds, WholeNumbers
+from ....base.arrays import DoubleRows, Doubles
 from ..evidence import Evidence
-from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, with_weights
+from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, view_runs, with_weights
 from .outliers import agreements
 
 PARTS_PER_PIXEL = float(1 << 28)  # sums of 2^53 of them are exact, 33 million pixels
@@ -45,8 +45,13 @@ class MaskTrust:
         for rows in row_chunks(weights):
             entries = slice(weights.indptr[rows.start], weights.indptr[rows.stop])
             columns = weights.indices[entries]
-            runs = _runs(views[columns], weights.indptr[rows.start : rows.stop + 1] - entries.start)
-            changed[entries] = _by_photo(weights.data[entries], trust[columns], runs)
+            runs = view_runs(views[columns], weights.indptr[rows.start : rows.stop + 1] - entries.start)
+            if len(columns):  # multiply by the mean trust of each photo's masks in each row
+                votes = weights.data[entries]
+                held = np.add.reduceat(votes.astype(np.float64), runs)
+                trusted = np.add.reduceat(votes * trust[columns], runs)
+                mean = np.divide(trusted, held, out=np.zeros(len(runs)), where=held > 0)
+                changed[entries] = votes * np.repeat(mean, np.diff(np.append(runs, len(votes))))
         return with_weights(evidence, changed)
 
 
@@ -82,22 +87,3 @@ def tally(evidence: Evidence, threads: int = 0) -> Tally:
 def _in_order(values: DoubleRows) -> Doubles:
     """Return the sum of each row, added up from its beginning: zeros at its end change no bit."""
     return np.cumsum(values, axis=1)[:, -1]
-
-
-def _runs(views: RowIds, starts: WholeNumbers) -> Integer[np.ndarray, " p"]:
-    """Return where the votes of another photo, or of another row, begin; votes of a photo are adjacent."""
-    new = np.zeros(len(views) + 1, np.bool_)
-    new[1:-1] = views[1:] != views[:-1]
-    new[starts] = True
-    return np.flatnonzero(new[:-1])
-
-
-def _by_photo(weights: Numbers, trust: Doubles, runs: RowIds) -> Doubles:
-    """Multiply the weights of each photo in each row by the mean trust of its masks there."""
-    if not len(weights):
-        return np.zeros(0)
-    held = np.add.reduceat(weights.astype(np.float64), runs)
-    trusted = np.add.reduceat(weights * trust, runs)
-    mean = np.divide(trusted, held, out=np.zeros(len(runs)), where=held > 0)
-    lengths = np.diff(np.append(runs, len(weights)))
-    return weights * np.repeat(mean, lengths)

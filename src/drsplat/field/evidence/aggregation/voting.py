@@ -12,12 +12,9 @@ from ....base.arrays import (
     Doubles,
     Embeddings,
     Flags,
-    Float64,
     Ids,
     IndexRows,
     Indices,
-    Int64,
-    Integer,
     OtherFlags,
     OtherIndices,
     Vectors,
@@ -26,6 +23,7 @@ from ....base.arrays import (
 from ....kernels import weighted_rows
 from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
+from .entries import view_runs
 
 SUPPORT_TOLERANCE = 1e-5  # relative: float32 products differ between processors
 PARTS_PER_ONE = float(1 << 21)  # products of two are sums of 2^-42, and 2^53 of those are exact
@@ -145,9 +143,7 @@ def nearest(tree: cKDTree, points: Vectors, count: int, threads: int) -> tuple[D
     return nearest_first(distances, near, count)
 
 
-def nearest_first(
-    distances: Float64[np.ndarray, "b k"], near: Integer[np.ndarray, "b k"], count: int
-) -> tuple[Float64[np.ndarray, "b n"], Int64[np.ndarray, "b n"]]:
+def nearest_first(distances: DoubleRows, near: IndexRows, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return up to `count` of the nearest of each row, nearest first; equally near ones by index."""
     order = np.lexsort((near, distances), axis=1)[:, :count]
     return np.take_along_axis(distances, order, 1), np.take_along_axis(near, order, 1)
@@ -198,12 +194,7 @@ def view_sums(evidence: Evidence) -> ViewSums:
     """Add up W's columns of each view; the evidence has its columns in canonical order."""
     weights = evidence.weights
     views = evidence.masks.views[weights.indices]
-    first = np.empty(len(views), np.bool_)
-    first[:1] = True
-    np.not_equal(views[1:], views[:-1], out=first[1:])
-    lengths = np.diff(weights.indptr)
-    first[weights.indptr[:-1][lengths > 0]] = True
-    starts = np.flatnonzero(first)
+    starts = view_runs(views, weights.indptr)
     if not len(starts):
         return ViewSums(starts, views, np.empty(0), starts)
     sums = np.add.reduceat(weights.data, starts, dtype=np.float64)

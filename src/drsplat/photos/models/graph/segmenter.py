@@ -12,8 +12,10 @@ from importlib.resources import files
 
 import numpy as np
 from PIL import Image
+from safetensors.numpy import load
+from scipy.ndimage import find_objects
 
-from ....base.arrays import DoubleRows, Doubles, Float32, Float64, Ids, Int32, MaskIds, Pixels, UInt8
+from ....base.arrays import Doubles, Float32, Float64, Ids, Int32, MaskIds, Pixels, UInt8
 from ....errors import InputError
 from ....kernels import photo_regions
 from ....kernels.photo_regions import Layers, PairRule, RegionGraph, Sight, lab_colors, merged_regions, region_graph
@@ -31,7 +33,6 @@ _BLOCKS = [f"down{level}" for level in range(LEVELS)] + [f"up{level}" for level 
 _LAYERS = ["stem", *(f"{block}{part}" for block in _BLOCKS for part in "ab"), "head"]
 
 Tensors = Mapping[str, Float32[np.ndarray, "..."]]
-LIKELIHOOD_DECIMALS = 6  # a product's last bits depend on the processor
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +51,6 @@ class MergeRule:
     def parts(self) -> PairRule:
         """All fields but the threshold, in the order of the native code."""
         return self.center, self.width, self.hidden, self.hidden_bias, self.output, self.output_bias
-
-    def likelihood(self, features: DoubleRows) -> Doubles:
-        """Return the likelihood of each pair, 0 to 1, rounded to LIKELIHOOD_DECIMALS."""
-        scaled = np.clip((features - self.center) / self.width, -5, 5)
-        inner = np.tanh(scaled @ self.hidden + self.hidden_bias)
-        logit = inner @ self.output + self.output_bias
-        return np.asarray(np.round(1 / (1 + np.exp(-logit)), LIKELIHOOD_DECIMALS))
 
 
 @dataclass(frozen=True)
@@ -137,16 +131,13 @@ def merged(graph: RegionGraph, rule: MergeRule, settings: GraphSettings) -> Ids:
 
 def label_masks(labels: MaskIds) -> Masks:
     """Return a mask per number that occurs, largest first; equal ones by number."""
-    from scipy.ndimage import find_objects
-
     areas = np.bincount(labels.ravel())
     order = [int(i) for i in np.argsort(-areas, kind="stable") if areas[i]]
     slices = find_objects(labels + 1)
     edges = [(columns.start, rows.start, columns.stop, rows.stop) for rows, columns in (slices[i] for i in order)]
-    boxes = np.array(edges, np.int32).reshape(-1, 4)
     parts = tuple(np.asarray(labels[slices[i]] == i) for i in order)
     height, width = labels.shape
-    return Masks(height, width, boxes, parts, np.ones(len(order), np.float32))
+    return Masks(height, width, np.array(edges, np.int32).reshape(-1, 4), parts, np.ones(len(order), np.float32))
 
 
 def working_share(pixels: int) -> float:
@@ -182,8 +173,6 @@ def enlarged(labels: MaskIds, height: int, width: int) -> Int32[np.ndarray, "h2 
 
 def shipped_network(package: str = __package__) -> tuple[Tensors, str]:
     """Return the weights in a package and the BLAKE2b hash of their file."""
-    from safetensors.numpy import load
-
     data = (files(package) / "network.safetensors").read_bytes()
     weights = {name: array.astype(np.float32) for name, array in load(data).items()}
     return weights, hashlib.blake2b(data, digest_size=8).hexdigest()
@@ -210,6 +199,4 @@ def shipped_rule() -> tuple[MergeRule, str]:
 
 def read_rule(data: bytes) -> MergeRule:
     """Parse the bytes of a file that `world.segmenter.tuning` wrote."""
-    from safetensors.numpy import load
-
     return MergeRule(**{name: array.astype(np.float64) for name, array in load(data).items()})

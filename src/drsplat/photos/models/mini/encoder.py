@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ....base.arrays import ArraysByName, Embedding, Embeddings, Float32, OtherPixels, PilImage
+from ....base.arrays import ArraysByName, Embedding, Embeddings, Float32, OtherPixels
 from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
 from ....kernels.algebra import convolve, dense_rows
@@ -110,7 +110,10 @@ def _unknown(text: str, strange: Sequence[str]) -> str:
     language, english = from_other_language(words_of(text))
     if english:
         return f"{text!r} is {language}, and the built-in encoder reads English: ask for {english!r}"
-    meant = "".join(_nearest(word) or did_you_mean(word, WORDS, 2) for word in strange)
+    meant = ""
+    for word in strange:
+        near = ", ".join(nearest_in_meaning(word, WORDS))
+        meant += f" The nearest to {word!r} that it knows: {near}." if near else did_you_mean(word, WORDS, 2)
     return (
         f"the built-in encoder was not taught {', '.join(map(repr, strange))}.{meant} It knows "
         f"{len(WORDS) + len(SYNONYMS)} English words: {', '.join(NAMES)}; {', '.join(COLORS)}; and kinds, materials "
@@ -118,27 +121,18 @@ def _unknown(text: str, strange: Sequence[str]) -> str:
     )
 
 
-def _nearest(word: str) -> str:
-    near = nearest_in_meaning(word, WORDS)
-    return f" The nearest to {word!r} that it knows: {', '.join(near)}." if near else ""
-
-
 def _pixels(images: Sequence[OtherPixels]) -> Float32[np.ndarray, "n s s 3"]:
-    scaled = [np.asarray(_square(image)) for image in images]
-    return np.stack(scaled).astype(np.float32) / 127.5 - 1
-
-
-def _square(image: OtherPixels) -> PilImage:
     from PIL import Image
 
-    h, w = image.shape[:2]
-    side = max(h, w)
-    picture = Image.fromarray(image)
-    if h != w:
-        square = Image.new("RGB", (side, side))
-        square.paste(picture, ((side - w) // 2, (side - h) // 2))
-        picture = square
-    return picture.resize((INPUT_SIDE_PIXELS, INPUT_SIDE_PIXELS), Image.Resampling.BILINEAR)
+    size, scaled = (INPUT_SIDE_PIXELS, INPUT_SIDE_PIXELS), []
+    for image in images:
+        h, w = image.shape[:2]
+        square = picture = Image.fromarray(image)
+        if h != w:
+            square = Image.new("RGB", (max(h, w), max(h, w)))
+            square.paste(picture, ((square.width - w) // 2, (square.height - h) // 2))
+        scaled.append(np.asarray(square.resize(size, Image.Resampling.BILINEAR)))
+    return np.stack(scaled).astype(np.float32) / 127.5 - 1
 
 
 def embed_images(pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors, *, threads: int = 0) -> Embeddings:

@@ -95,11 +95,9 @@ def outlines(image: Pixels, *, threads: int = 0) -> PixelNumbers:
         raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
     full = Image.fromarray(working_image(image))
     half = full.resize(((full.width + 1) // 2, (full.height + 1) // 2), Image.Resampling.BOX)
-    seen = [_strength(part, (width, height), threads) for part in (full, half)]
+    seen = []
+    for part in (full, half):
+        borders = look_through(np.asarray(part), shipped_outlines()[0], threads=threads).borders
+        strength = Image.fromarray(np.asarray(borders, np.float32) / np.float32(BORDER_STEPS))
+        seen.append(np.asarray(strength.resize((width, height), Image.Resampling.BILINEAR)))
     return np.asarray((seen[0] + seen[1]) / 2, np.float32)
-
-
-def _strength(image: Image.Image, size: tuple[int, int], threads: int) -> PixelNumbers:
-    borders = look_through(np.asarray(image), shipped_outlines()[0], threads=threads).borders
-    strength = Image.fromarray(np.asarray(borders, np.float32) / np.float32(BORDER_STEPS))
-    return np.asarray(strength.resize(size, Image.Resampling.BILINEAR))

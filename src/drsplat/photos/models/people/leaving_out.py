@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ....base.arrays import Doubles, MaskIds, Pixels
+from ....base.arrays import MaskIds, Pixels
 from ....base.working import Track, untracked
 from ....formats.captures import SparsePoints
 from ....formats.mask_files import write_mask
@@ -59,12 +59,9 @@ def _still(view: View, image: Pixels, labels: MaskIds, points: SparsePoints) -> 
     columns, rows = pixels[on_photo].astype(np.intp).T
     seen, known = image[rows, columns].mean(1), points.colors[ahead][on_photo].mean(1)
     owner = labels[rows, columns]
-    persons = [owner == number for number in range(labels.max() + 1)]
-    return [number for number, person in enumerate(persons) if number and _agree(seen[person], known[person])]
-
-
-def _agree(seen: Doubles, known: Doubles) -> bool:
-    if len(seen) < LEAST_POINTS:
-        return False
-    together = ((seen - seen.mean()) * (known - known.mean())).mean()
-    return bool(together > STILL * seen.std() * known.std())
+    still = []
+    for number in range(1, labels.max() + 1):
+        a, b = (colors[owner == number] for colors in (seen, known))
+        if len(a) >= LEAST_POINTS and ((a - a.mean()) * (b - b.mean())).mean() > STILL * a.std() * b.std():
+            still.append(number)
+    return still
