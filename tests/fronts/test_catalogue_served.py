@@ -10,18 +10,14 @@ from typing import Any
 
 import pytest
 from PIL import Image
-
-from catalogued import write_scene
-from command_line import error_of
-
-pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
-pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not installed")
-
-import httpx
 from test_catalogue import WORDS
 from test_glossary import descriptions, offenders, retired, schema_keys
 
-from drsplat.fronts.serving.app import Settings, create_app
+from callers import Service, reason
+from catalogued import write_scene
+from command_line import error_of
+from drsplat.fronts.serving.guards import Limits
+from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.query.catalogue import Catalogue
 
 
@@ -36,35 +32,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def app(folder: Path) -> Iterator[Any]:
-    made = create_app(Settings(str(folder / "scenes"), catalogue=str(folder / "flats.catalogue")))
-    with closing(made.state.bench):
+def service(folder: Path) -> Iterator[Service]:
+    with closing(Service(folder / "scenes", catalogue=str(folder / "flats.catalogue"))) as made:
         yield made
 
 
-def asked(app: Any, method: str, path: str, **given: Any) -> Any:
-    async def ask() -> Any:
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://here") as client:
-            return await client.request(method, path, **given)
-
-    return asyncio.run(ask())
+def asked(service: Service, **given: Any) -> Any:
+    return service("POST", "/catalogue/ask", json=given)
 
 
 @pytest.mark.slow
-def test_matches_of_all_scenes_with_their_pictures(app, folder):
-    answer = asked(app, "POST", "/catalogue/ask", json={"text": "mug"}).json()
+def test_matches_of_all_scenes_with_their_pictures(service, folder):
+    answer = asked(service, text="mug").json()
     assert [one["scene"] for one in answer["matches"]] == ["kitchen", "o'hara"]
     assert (answer["measure"], answer["threshold_rule"], answer["exact"]) == ("cosine", "encoder", True)
-    picture = asked(app, "GET", answer["matches"][1]["picture"])
+    picture = service("GET", answer["matches"][1]["picture"])
     assert picture.headers["content-type"] == "image/jpeg"
     assert Image.open(io.BytesIO(picture.content)).size == (240, 180)
     assert picture.content == Catalogue.open(folder / "flats.catalogue").thumbnail("o'hara", 0)
 
 
-def test_filters_and_what_is_not_there(app):
+def test_filters_and_what_is_not_there(service):
     def scenes(**more: Any) -> list[str]:
-        answer = asked(app, "POST", "/catalogue/ask", json={"text": "mug", **more})
-        return [one["scene"] for one in answer.json()["matches"]]
+        return [one["scene"] for one in asked(service, text="mug", **more).json()["matches"]]
 
     assert scenes(scenes=["o'hara"]) == ["o'hara"]
     assert scenes(box=[-1, -1, -1, 1, 1, 1]) == ["kitchen"]
@@ -73,12 +63,12 @@ def test_filters_and_what_is_not_there(app):
     assert scenes(since="0001-01-01T00:00:00Z") == ["kitchen", "o'hara"]
     assert scenes(exclude=["red"]) == ["o'hara"]
     assert scenes(scenes=["x' OR 1 = 1 --"]) == []
-    nothing = asked(app, "POST", "/catalogue/ask", json={"text": "elephant"}).json()
+    nothing = asked(service, text="elephant").json()
     assert (nothing["matches"], nothing["advice"].split(":")[0]) == ([], "no match in any scene")
 
 
-def test_the_scenes_of_it(app, folder):
-    listed = asked(app, "GET", "/catalogue")
+def test_the_scenes_of_it(service, folder):
+    listed = service("GET", "/catalogue")
     assert [(one["name"], one["num_objects"], one["state"]) for one in listed.json()["scenes"]] == [
         ("kitchen", 3, "current"), ("o'hara", 3, "current"),
     ]  # fmt: skip
@@ -104,28 +94,24 @@ def test_the_scenes_of_it(app, folder):
         ({"image": "no base64"}, "expected base64"),
     ],
 )
-def test_requests_that_make_no_sense(app, given, said):
-    answer = asked(app, "POST", "/catalogue/ask", json=given)
-    assert answer.status_code == 422
-    assert said in answer.json()["error"]
+def test_requests_that_make_no_sense(service, given, said):
+    assert said in reason(asked(service, **given), 422)
 
 
-def test_pictures_that_are_not_there(app, folder):
-    for which in ({"scene": "nobody", "object_id": 0}, {"scene": "kitchen", "object_id": 99}):
-        answer = asked(app, "GET", "/catalogue/picture", params=which)
-        assert (answer.status_code, str(folder) in answer.text) == (422, False)
-    assert asked(app, "GET", "/catalogue/picture", params={"scene": "kitchen", "object_id": -1}).status_code == 422
+def test_pictures_that_are_not_there(service, folder):
+    for scene, number in (("nobody", 0), ("kitchen", 99), ("kitchen", -1)):
+        answer = service("GET", "/catalogue/picture", params={"scene": scene, "object_id": number})
+        assert str(folder) not in reason(answer, 422)
 
 
 def test_no_catalogue_no_routes(folder):
-    made = create_app(Settings(str(folder / "scenes")))
-    with closing(made.state.bench):
-        assert asked(made, "POST", "/catalogue/ask", json={"text": "mug"}).status_code == 404
-        assert not [path for path in made.openapi()["paths"] if "catalogue" in path]
+    with closing(Service(folder / "scenes")) as made:
+        assert asked(made, text="mug").status_code == 404
+        assert not [path for path in made.app.openapi()["paths"] if "catalogue" in path]
 
 
-def test_its_words_are_those_of_the_glossary(app):
-    document = app.openapi()
+def test_its_words_are_those_of_the_glossary(service):
+    document = service.app.openapi()
     assert {"object_id", "scenes"} <= set(schema_keys(document))
     assert not offenders(schema_keys(document), retired())
     assert not [text for text in descriptions(document) if "thing" in text.replace("something", "").split()]
@@ -138,23 +124,18 @@ def test_a_catalogue_that_is_none_is_told_at_the_start(folder, capsys):
 
 
 @pytest.mark.slow
-def test_language_models_search_all_scenes(folder):
+def test_language_models_search_all_scenes(service, folder):
     pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
-    from drsplat.fronts.serving.guards import Limits
-    from drsplat.fronts.serving.metrics import Metrics
-    from drsplat.fronts.serving.scene_folder import SceneFolder
     from drsplat.fronts.serving.tools import make_server
-    from drsplat.fronts.serving.workbench import Workbench
-    from drsplat.fronts.serving.worker import Workplace
 
-    scenes, path = folder / "scenes", folder / "flats.catalogue"
-    with closing(Workbench(Workplace(str(scenes), catalogue=str(path)), Metrics())) as bench:
-        server = make_server(SceneFolder(scenes, catalogue_path=path), bench, Limits())
-        given = {"text": "mug", "scenes": ["o'hara"]}
-        result = asyncio.run(server.call_tool("search_all_scenes", given))
-        names = [tool.name for tool in asyncio.run(server.list_tools())]
-        without = make_server(SceneFolder(scenes), bench, Limits())
-        assert "search_all_scenes" not in [tool.name for tool in asyncio.run(without.list_tools())]
-    assert "search_all_scenes" in names
+    scenes, bench = folder / "scenes", service.app.state.bench
+    server, without = (
+        make_server(SceneFolder(scenes, catalogue_path=path), bench, Limits())
+        for path in (folder / "flats.catalogue", None)
+    )
+    given = {"text": "mug", "scenes": ["o'hara"]}
+    result = asyncio.run(server.call_tool("search_all_scenes", given))
+    for one, offers in ((server, True), (without, False)):
+        assert ("search_all_scenes" in [tool.name for tool in asyncio.run(one.list_tools())]) == offers
     told = json.loads(result.content[0].text)
     assert [(one["scene"], one["object_id"]) for one in told["matches"]] == [("o'hara", 0)]

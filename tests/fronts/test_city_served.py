@@ -9,14 +9,12 @@ from unittest.mock import patch
 
 import pytest
 
-pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
-
+from callers import reply_of
 from cities import write_city
 from drsplat.formats.tiles import Tiles
-from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.replies import Reply
 from drsplat.fronts.serving.scene_folder import SceneFolder
-from drsplat.fronts.serving.worker import ANSWERS, Workplace, reply_to
+from drsplat.fronts.serving.worker import ANSWERS
 from toy_capture import THINGS
 
 WORDS = list(THINGS)
@@ -57,14 +55,9 @@ def nothing_reads_all() -> Iterator[None]:
         yield
 
 
-def asked(scenes: SceneFolder, name: str, act: str, given: dict[str, Any]) -> Reply:
-    place = Workplace(str(scenes.folder))
-    return reply_to(scenes, place, act=act, scene=name, asked=given, adder=Adder(scenes))
-
-
 def both(folder: Path, act: str, given: dict[str, Any]) -> list[Reply]:
     scenes = SceneFolder(folder)
-    return [asked(scenes, name, act, given) for name in ("tiled", "whole")]
+    return [reply_of(scenes, act, given, name) for name in ("tiled", "whole")]
 
 
 @pytest.mark.parametrize(("act", "given"), ASKED)
@@ -91,19 +84,19 @@ def test_what_needs_the_whole_is_refused_with_the_way_out(folder):
     said = json.loads(tiled.body)["error"]
     assert "300 Gaussians is in tiles" in said
     assert "drsplat export" in said
-    still = asked(SceneFolder(folder), "tiled", "when", {"one": "mug", "relation": "on", "other": "plate"})
+    still = reply_of(folder, "when", {"one": "mug", "relation": "on", "other": "plate"}, "tiled")
     assert (still.status, "stands still" in json.loads(still.body)["error"]) == (422, True)
 
 
 def test_a_damaged_tile_is_a_fault_of_the_scene_and_names_no_folder(folder, tmp_path):
     place = Path(shutil.copytree(folder / "tiled", tmp_path / "scenes" / "tiled")).parent
     scenes = SceneFolder(place)
-    assert asked(scenes, "tiled", "locate", {"text": "red mug"}).status == 200
+    assert reply_of(scenes, "locate", {"text": "red mug"}).status == 200
     for tile in (place / "tiled/city.tiles").glob("*.shapes.safetensors"):
         tile.write_bytes(tile.read_bytes()[:-9])
-    reply = asked(scenes, "tiled", "locate", {"text": "red mug"})
+    reply = reply_of(scenes, "locate", {"text": "red mug"})
     error = json.loads(reply.body)["error"]
     assert (reply.status, json.loads(reply.body)["kind"]) == (503, "SceneFaultError")
     assert error.startswith("scene 'tiled' cannot be read: tiled/city.tiles/tile0000")
     assert str(place) not in error
-    assert asked(scenes, "tiled", "select", {"text": "red mug"}).status == 200  # it needs no places
+    assert reply_of(scenes, "select", {"text": "red mug"}).status == 200  # it needs no places

@@ -17,19 +17,16 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
+from callers import reply_of
 from command_line import answer_of
 from drsplat import Answer, Cut, Match, MiniEncoder, Query, Scene, open_scene
 from drsplat.cli import make_parser, spelled
 from drsplat.errors import DrSplatError
 from drsplat.evaluation.demo import story as household
+from drsplat.fronts.serving.conversation import Conversation
+from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.fronts.viewing.results import result_of
 from drsplat.fronts.viewing.session import Session
-
-pytest.importorskip("fastapi")
-from drsplat.fronts.serving.conversation import Conversation
-from drsplat.fronts.serving.live import Adder
-from drsplat.fronts.serving.scene_folder import SceneFolder
-from drsplat.fronts.serving.worker import Workplace, reply_to
 
 PICTURE = np.zeros((40, 40, 3), np.uint8)
 PICTURE[5:35, 5:35] = (200, 30, 30)
@@ -176,9 +173,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def over_http(scene_folder: SceneFolder, act: str, body: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     """As a worker answers it."""
-    (name,) = scene_folder.folders()
-    sent = json.loads(json.dumps(body))
-    reply = reply_to(scene_folder, Workplace(str(scene_folder.folder)), act, name, sent, Adder(scene_folder))
+    reply = reply_of(scene_folder, act, json.loads(json.dumps(body)))
     return reply.status, json.loads(reply.body)
 
 

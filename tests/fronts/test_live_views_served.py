@@ -6,23 +6,19 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
-from urllib.request import Request, urlopen
 
 import pytest
 from numpy.testing import assert_allclose
-from test_serve import KEY, Service, asked, reason, told, wait_for
 
+from callers import KEY, Service, reason, told
 from command_line import error_of
 from drsplat import load_field, read_views
-from drsplat.formats.live_views import LiveViews
 from drsplat.formats.replacing import claimed_output
 from drsplat.fronts.serving import workbench
 from drsplat.fronts.serving.guards import Limits
@@ -30,8 +26,8 @@ from drsplat.fronts.serving.live import list_views
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from full_disk import files_of_at_most
 from growing_fields import files_of
-from growing_rooms import first_of_demo, posted
-from processes import children_of
+from growing_rooms import posted
+from processes import asked, children_of, serving, wait_for
 
 VIEWS = "/scenes/room/views"
 WITH_KEY = {"x-api-key": KEY}
@@ -238,28 +234,14 @@ def key_file(tmp_path: Path) -> str:
     return str(tmp_path / "key.txt")
 
 
-@contextmanager
-def served(scenes: Path, key_file: str) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
-    """`drsplat serve`, and its port."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    options = ["--port", str(port), "--take-views", "--api-key-file", key_file, "--json"]
-    command = [sys.executable, "-m", "drsplat", "serve", str(scenes), *options]
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    try:
-        wait_for(lambda: asked(port, "GET", "/health")[0] == 200)
-        yield server, port
-    finally:
-        server.terminate()
-        server.wait(60)
+def served(scenes: Path, key_file: str) -> Any:
+    return serving("serve", scenes, "--take-views", "--api-key-file", key_file, "--json")
 
 
 def fetch(port: int, path: str, body: Any = None) -> dict[str, Any]:
-    data = None if body is None else json.dumps(body).encode()
-    headers = WITH_KEY | {"content-type": "application/json"}
-    with urlopen(Request(f"http://127.0.0.1:{port}{path}", data, headers), timeout=120) as reply:
-        return dict(json.load(reply))
+    status, answer = asked(port, "GET" if body is None else "POST", path, body, **WITH_KEY)
+    assert 200 <= status < 300, answer
+    return dict(json.loads(answer))
 
 
 @pytest.mark.slow
@@ -279,32 +261,6 @@ def test_a_killed_service_goes_on_with_what_it_had_taken(seconds, scenes, full_r
             os.kill(process, signal.SIGKILL)
         assert fetch(port, VIEWS, posted(read_views(full_room)[3]))["state"] == "added"
     assert files_of(scenes / "room/room.field") == files_of(full_room / "room.field")
-
-
-@pytest.mark.slow
-def test_the_demo_is_streamed_at_a_photo_a_second(household_story, household_folder, tmp_path, key_file):
-    """Twelve photos are registered; the others come, and every answer is of a version that was whole."""
-    room = tmp_path / "scenes/room"
-    whole, views = load_field(household_folder / "room.field"), read_views(household_folder)
-    names = whole.evidence.masks.view_names if whole.evidence else ()
-    first_of_demo(household_folder, room, names[:12])
-    by_name, coming, answers = {view.name: view for view in views}, names[12:], []
-    with served(tmp_path / "scenes", key_file) as (_, port):
-        vase = {"text": "red vase"}
-        for name in coming:
-            fetch(port, VIEWS, posted(by_name[name]))
-            answers.append(fetch(port, "/scenes/room/locate", vase))
-            time.sleep(1)
-        for _ in range(60):
-            if not fetch(port, VIEWS)["num_waiting"]:
-                break
-            time.sleep(2)
-        answers.append(fetch(port, "/scenes/room/locate", vase))
-    assert all(answer["num_matches"] >= 1 for answer in answers)
-    assert answers[-1]["field"] == whole.fingerprint
-    assert 1 < len({answer["field"] for answer in answers}) <= len(coming) + 1
-    assert files_of(room / "room.field") == files_of(household_folder / "room.field")
-    assert len(LiveViews(room).every("added")) == len(coming)
 
 
 @pytest.mark.slow

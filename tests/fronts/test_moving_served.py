@@ -7,14 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from callers import reply_of
 from drsplat import open_scene
 from drsplat.cli import main
 from moving_scenes import write_film
-
-pytest.importorskip("fastapi")
-from drsplat.fronts.serving.live import Adder
-from drsplat.fronts.serving.scene_folder import SceneFolder
-from drsplat.fronts.serving.worker import Workplace, reply_to
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def asked(folder: Path, act: str, what: dict[str, Any], status: int = 200) -> dict[str, Any]:
-    scenes = SceneFolder(folder)
-    reply = reply_to(scenes, Workplace(str(folder)), act, "film", what, Adder(scenes))
+    reply = reply_of(folder, act, what)
     assert reply.status == status, reply.body
     body: dict[str, Any] = json.loads(reply.body)
     return body

@@ -81,7 +81,6 @@ def test_servers_and_viewer_say_so():
     from drsplat.fronts.serving.conversation import Conversation, tool_answer
     from drsplat.fronts.serving.guards import Limits
     from drsplat.fronts.serving.models import measured
-    from drsplat.fronts.serving.query_fields import Tool
     from drsplat.fronts.viewing.results import result_of
 
     scene = Scene(*made(FAINT), encoder=MINI)
@@ -89,5 +88,5 @@ def test_servers_and_viewer_say_so():
     assert "made-up rooms" in measured(answer).doubt
     assert "made-up rooms" in result_of(scene, "clock", answer).summary
     assert "made-up rooms" not in Conversation(scene, "a").count("clock").advice
-    counted = tool_answer(scene, Tool(name="a", tool="count", arguments={"text": "clock"}), Limits())
+    counted = tool_answer(scene, {"name": "a", "tool": "count", "arguments": {"text": "clock"}}, Limits())
     assert "made-up rooms" in counted.advice

@@ -11,12 +11,12 @@ pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed
 from pydantic import BaseModel, ValidationError
 
 from drsplat.errors import DrSplatError
-from drsplat.fronts.serving.app import QUERIES
 from drsplat.fronts.serving.guards import Limits
 from drsplat.fronts.serving.live import NewView
 from drsplat.fronts.serving.query_fields import AskCatalogue, Request
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.fronts.serving.workbench import Job, Workbench
+from drsplat.fronts.serving.worker import ANSWERS
 
 SOUND: dict[str, Any] = {
     "text": "mug", "classes": ["mug"], "one": "mug", "other": "table", "relation": "on", "first": "mug",
@@ -36,7 +36,7 @@ def models_in(kind: Any) -> Iterator[type[BaseModel]]:
         yield from models_in(part)
 
 
-BODIES = [request for _, request, *_ in QUERIES] + [AskCatalogue, NewView]
+BODIES = [way.asked for way in ANSWERS.values() if way.asked] + [AskCatalogue, NewView]
 MODELS = list(dict.fromkeys(model for body in BODIES for model in models_in(body)))
 
 

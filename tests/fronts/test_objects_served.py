@@ -1,35 +1,31 @@
 """Objects over HTTP and for language models: what Python, the command line and both services tell is the same."""
 
-import asyncio
 import io
 import json
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from callers import Service, reply_of, told
 from drsplat import read_gaussians, write_gaussians
 from drsplat.errors import InputError
 from drsplat.formats.poses import write_cameras_json
+from drsplat.fronts.serving.conversation import Conversation
+from drsplat.fronts.serving.guards import Limits
+from drsplat.fronts.serving.query_fields import Export
+from drsplat.fronts.serving.scene_folder import SceneFolder
+from drsplat.fronts.serving.worker import COMPLETING_S, WRITING_S, exported
 from drsplat.query import open_scene
+from drsplat.query.documents import object_documents
 from glb_files import Read
 from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene
 from scenes import look_at_view
 
-pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
-
-from drsplat.fronts.serving.conversation import Conversation
-from drsplat.fronts.serving.guards import Limits
-from drsplat.fronts.serving.live import Adder
-from drsplat.fronts.serving.query_fields import Export
-from drsplat.fronts.serving.replies import Reply
-from drsplat.fronts.serving.scene_folder import SceneFolder
-from drsplat.fronts.serving.worker import COMPLETING_S, WRITING_S, Workplace, exported, reply_to
-from drsplat.query.documents import object_documents
-
+ALL = {"all": False}
 EYES = ((0.5, -4.0, 1.5), (1.5, -4.5, 2.0), (2.5, -4.0, 1.0))
 
 
@@ -48,15 +44,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def reply(
-    folder: Path, act: str, asked: dict[str, Any] | None = None, scene_folder: SceneFolder | None = None
-) -> Reply:
-    """As a worker answers."""
-    scene_folder = scene_folder or SceneFolder(folder)
-    (name,) = scene_folder.folders()
-    return reply_to(scene_folder, Workplace(str(folder)), act, name, asked or {}, Adder(scene_folder))
-
-
 def talk_of(folder: Path) -> Conversation:
     return Conversation(open_scene(folder), folder.name)
 
@@ -64,36 +51,35 @@ def talk_of(folder: Path) -> Conversation:
 def test_the_same_list_everywhere(folder):
     scene = open_scene(folder)
     scene.label(scene.field.objects.thing(1), "mug")
-    told = json.loads(reply(folder, "objects").body)
-    of_models = talk_of(folder).list_objects(20).model_dump()
-    assert told == of_models
-    assert told["num_objects"] == 3
+    listed = json.loads(reply_of(folder, "objects", ALL).body)
+    assert listed == talk_of(folder).list_objects(20).model_dump()
+    assert listed["num_objects"] == 3
     room = open_scene(folder)
-    for one, expected in zip(told["objects"], object_documents(room, room.objects), strict=True):
+    for one, expected in zip(listed["objects"], object_documents(room, room.objects), strict=True):
         for key in ("id", "label", "name", "num_gaussians", "num_views", "views"):
             assert one[key] == expected[key]
         for key in ("center", "extent", "axes", "sure"):
             np.testing.assert_allclose(one[key], expected[key], atol=2e-4)
-    assert [one["label"] for one in told["objects"]] == [None, "mug", None]
+    assert [one["label"] for one in listed["objects"]] == [None, "mug", None]
 
 
 def test_a_new_name_is_told_without_a_restart(folder):
     scene_folder = SceneFolder(folder)
-    assert json.loads(reply(folder, "objects", scene_folder=scene_folder).body)["objects"][0]["label"] is None
+    assert json.loads(reply_of(scene_folder, "objects", ALL).body)["objects"][0]["label"] is None
     scene = open_scene(folder)
     scene.label(scene.field.objects.thing(0), "bowl")
-    assert json.loads(reply(folder, "objects", scene_folder=scene_folder).body)["objects"][0]["label"] == "bowl"
+    assert json.loads(reply_of(scene_folder, "objects", ALL).body)["objects"][0]["label"] == "bowl"
 
 
 def test_one_object(folder):
-    picture = reply(folder, "object-picture", {"number": 2})
+    picture = reply_of(folder, "object-picture", {"number": 2})
     assert picture.media_type == "image/jpeg"
     image = Image.open(io.BytesIO(picture.body))
     assert (image.format, image.size) == ("JPEG", (640, 480))
     pixels = np.asarray(image).astype(int)
     assert np.abs(pixels[240, 320] - (90, 140, 200)).max() < 30  # lit in the middle
     assert pixels[5, 5].min() > 200  # pale around
-    ply = reply(folder, "object-ply", {"number": 2})
+    ply = reply_of(folder, "object-ply", {"number": 2})
     (folder / "out.ply").write_bytes(ply.body)
     part = read_gaussians(folder / "out.ply")
     assert len(part) == EACH - 10
@@ -102,7 +88,7 @@ def test_one_object(folder):
 
 @pytest.mark.parametrize("act", ["object-picture", "object-ply"])
 def test_objects_that_are_not_there(act, folder):
-    refused = reply(folder, act, {"number": 3})
+    refused = reply_of(folder, act, {"number": 3})
     assert refused.status == 422
     assert "there are 0 to 2" in json.loads(refused.body)["error"]
 
@@ -110,7 +96,7 @@ def test_objects_that_are_not_there(act, folder):
 def test_a_field_without_objects_says_what_to_do(folder):
     scene = open_scene(folder)
     scene.field.with_objects(None).save(folder / "a.field", overwrite=True)
-    refused = reply(folder, "objects")
+    refused = reply_of(folder, "objects", ALL)
     assert refused.status == 422
     assert "drsplat objects" in json.loads(refused.body)["error"]
     with pytest.raises(InputError, match="drsplat objects"):
@@ -133,28 +119,19 @@ def test_relations_by_number_and_by_name(folder):
 
 
 def test_long_lists_are_cut(folder):
-    told = talk_of(folder).list_objects(2)
-    assert (told.num_objects, [one.id for one in told.objects]) == (3, [0, 1])
-    assert told.advice == "the 2 largest of 3"
+    listed = talk_of(folder).list_objects(2)
+    assert (listed.num_objects, [one.id for one in listed.objects]) == (3, [0, 1])
+    assert listed.advice == "the 2 largest of 3"
 
 
 @pytest.mark.slow
 def test_routes(folder):
-    httpx = pytest.importorskip("httpx")
-    from drsplat.fronts.serving.app import Settings, create_app
-
-    app = create_app(Settings(str(folder)))
-
-    async def asked(*paths: str) -> list[Any]:
-        transport = httpx.ASGITransport(app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://here") as client:
-            return [await client.get(f"/scenes/{folder.name}/objects{path}") for path in paths]
-
-    try:
-        listed, picture, ply, none, bad = asyncio.run(asked("", "/0/picture", "/0/ply", "/9/ply", "/x/ply"))
-    finally:
-        app.state.bench.close()
-    assert listed.json()["num_objects"] == 3
+    with closing(Service(folder)) as service:
+        listed, picture, ply, none, bad = (
+            service("GET", f"/scenes/{folder.name}/objects{path}")
+            for path in ("", "/0/picture", "/0/ply", "/9/ply", "/x/ply")
+        )
+    assert told(listed)["num_objects"] == 3
     assert listed.headers["x-drsplat-field"] == listed.json()["field"]
     assert (picture.status_code, picture.headers["content-type"]) == (200, "image/jpeg")
     assert ply.content.startswith(b"ply\n")
@@ -166,11 +143,11 @@ def test_what_photos_agree_less_on_is_listed_when_it_is_asked_for(folder):
     sure = field.objects.sure.copy()
     sure[field.objects.thing(0)] = 0.1
     field.with_objects(replace(field.objects, sure=sure)).save(folder / "a.field", overwrite=True)
-    told, every = (json.loads(reply(folder, "objects", {"all": all}).body) for all in (False, True))
-    assert (told["num_objects"], told["num_agreed"]) == (every["num_objects"], every["num_agreed"]) == (3, 2)
-    assert [one["id"] for one in told["objects"]] == [1, 2]
+    listed, every = (json.loads(reply_of(folder, "objects", {"all": all}).body) for all in (False, True))
+    assert (listed["num_objects"], listed["num_agreed"]) == (every["num_objects"], every["num_agreed"]) == (3, 2)
+    assert [one["id"] for one in listed["objects"]] == [1, 2]
     assert [(one["id"], one["agreed"]) for one in every["objects"]] == [(0, False), (1, True), (2, True)]
-    assert "1 more that photos agree less on: all=true" in told["advice"]
+    assert "1 more that photos agree less on: all=true" in listed["advice"]
     talk = talk_of(folder)
     assert [one.id for one in talk.list_objects(20).objects] == [1, 2]
     assert talk.list_objects(1).advice.startswith("the 1 largest of 2. 1 more that photos agree less on")
@@ -178,13 +155,13 @@ def test_what_photos_agree_less_on_is_listed_when_it_is_asked_for(folder):
 
 
 def test_a_scene_is_sent_as_a_file_with_its_names(folder):
-    sent = reply(folder, "export", {})
+    sent = reply_of(folder, "export", {})
     assert sent.media_type == "model/gltf-binary"
     assert sent.field == open_scene(folder).field.fingerprint
     assert Read.of(sent.body).table(0)["number"] == [0, 1, 2]
-    one = Read.of(reply(folder, "export", {"object": 2}).body)
+    one = Read.of(reply_of(folder, "export", {"object": 2}).body)
     assert one.table(0)["number"] == [2]
-    ply = reply(folder, "export", {"format": "ply"})
+    ply = reply_of(folder, "export", {"format": "ply"})
     assert ply.body.startswith(b"ply\n")
     assert ply.media_type == "application/octet-stream"
 
@@ -198,7 +175,7 @@ def test_a_scene_is_sent_as_a_file_with_its_names(folder):
     ],
 )
 def test_a_file_that_cannot_be_is_refused(asked, message, folder):
-    refused = reply(folder, "export", asked)
+    refused = reply_of(folder, "export", asked)
     assert refused.status == 422
     assert message in json.loads(refused.body)["error"]
 

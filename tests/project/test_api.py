@@ -187,7 +187,7 @@ VERBS = set(
     Choose Claim Clip Close Code Compare Composite Compute Concatenate Convert Copy Correlate Count Create Cut
     Declare Decode Decompress Delete Describe Detect Discard Do Draw Drop Embed Encode End Enlarge Evaluate
     Export Fill Find Fit Forget Format Give Go Grow Hand Hash Identify Import Interpolate Join Judge Keep Label
-    Lay Learn Leave Let List Load Lock Log Look Lower Make Map Mark Match Measure Merge Move Multiply Name
+    Lay Learn Leave Let List Load Locate Lock Log Look Lower Make Map Mark Match Measure Merge Move Multiply Name
     Normalise Note Observe Offer Open Optimise Pack Pad Paint Parse Pick Plan Pose Prepare Print Project Put
     Quantise Quote Read Record Refine Refuse Register Relocate Remove Rename Render Renumber Repeat Replace
     Report Reset Resize Restore Return Rewrite Rotate Round Run Save Say Scale Score Search See Select Send Set

@@ -77,7 +77,7 @@ def test_clients_of_http_and_tools_are_told_beside_the_answer(count, doubted):
     from drsplat.fronts.serving import worker
     from drsplat.fronts.serving.conversation import tool_answer
     from drsplat.fronts.serving.guards import Limits
-    from drsplat.fronts.serving.query_fields import Locate, Segment, Tool
+    from drsplat.fronts.serving.query_fields import Locate, Segment
 
     texts = ("red mug", *(name for name in NOUNS if name != "mug"))[:count]
     scene = Scene(
@@ -85,7 +85,7 @@ def test_clients_of_http_and_tools_are_told_beside_the_answer(count, doubted):
     )
     located = worker.located(scene, Locate(text="red mug"), Limits())
     segmented = worker.segmented(scene, Segment(classes=["red mug"]), Limits())
-    counted = tool_answer(scene, Tool(name="a", tool="count", arguments={"text": "red mug"}), Limits())
+    counted = tool_answer(scene, {"name": "a", "tool": "count", "arguments": {"text": "red mug"}}, Limits())
     told = f"only {count} texts tell what a word does not mean"
     for said in (located.measured.list_doubt, segmented.list_doubt, counted.advice):
         assert (told in said) is doubted

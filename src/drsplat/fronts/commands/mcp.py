@@ -102,19 +102,18 @@ def run(options: Options) -> Facts:
     from ..serving.guards import Limits
     from ..serving.listening import address_of, bound_socket
     from ..serving.metrics import Metrics
-    from ..serving.scene_folder import SceneFolder, Sources
+    from ..serving.scene_folder import Sources
     from ..serving.tools import make_server, over_http, over_stdio
     from ..serving.workbench import Workbench
     from ..serving.worker import Workplace
 
     sources = Sources(**vars(options.encoders), threads=options.threads)
-    catalogue = None if options.catalogue is None else Path(options.catalogue)
-    scene_folder = SceneFolder(Path(options.folder), sources, catalogue_path=catalogue)
-    scene_folder.check_sources()
-    scene_folder.check_catalogue()
-    note_own_scenes(scene_folder.folders().values())
     limits = Limits(seconds=where.timeout, workers=where.workers)
-    bench = Workbench(Workplace(options.folder, sources, limits, options.catalogue), Metrics())
+    place = Workplace(options.folder, sources, limits, options.catalogue)
+    scene_folder = place.scene_folder()
+    scene_folder.check_sources()
+    note_own_scenes(scene_folder.folders().values())
+    bench = Workbench(place, Metrics())
     server = make_server(scene_folder, bench, limits)
     with closing(bench):
         if not options.http:

@@ -1,7 +1,5 @@
 """drsplat serve: scenes over HTTP."""
 
-from pathlib import Path
-
 from ...base.terminal import counted
 from .declaring import Facts, argument, declaration, flag, option, part, words
 from .edit_options import note_own_scenes
@@ -51,7 +49,7 @@ def run(options: Options) -> Facts:
     from ..serving.app import Settings, serve
     from ..serving.guards import Limits
     from ..serving.listening import address_of, bound_socket
-    from ..serving.scene_folder import SceneFolder, Sources
+    from ..serving.scene_folder import Sources
 
     sources = Sources(
         **vars(options.encoders), threads=options.threads, search_device=options.search_device,
@@ -59,11 +57,10 @@ def run(options: Options) -> Facts:
     )  # fmt: skip
     limits = Limits(seconds=where.timeout, workers=where.workers)
     settings = Settings(
-        options.folder, sources, limits, key, where.names, tuple(options.allow_origin), options.catalogue,
+        options.folder, sources, limits, options.catalogue, key, where.names, tuple(options.allow_origin),
         options.take_views,
     )  # fmt: skip
-    catalogue = None if options.catalogue is None else Path(options.catalogue)
-    scene_folder = SceneFolder(Path(options.folder), sources, catalogue_path=catalogue)
+    scene_folder = settings.scene_folder()
     num_scenes = scene_folder.checked()
     note_own_scenes(scene_folder.folders().values())
     with bound_socket(where.host, where.port) as socket:

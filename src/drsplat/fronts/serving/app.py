@@ -2,12 +2,12 @@
 
 import json
 import socket
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from html import escape
+from inspect import signature
 from json import JSONDecodeError
-from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, Response
@@ -15,36 +15,24 @@ from fastapi import Path as InPath
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse
 from fastapi.routing import APIRoute
-from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 
 from ... import __version__
+from ...base.contents import Document
 from ...errors import DrSplatError, InputError
 from ...formats.json_files import parsed
-from . import models
 from .connections import run
 from .guards import Guard, Limits
 from .listening import is_own_page
 from .live import LIST, TAKE, NewView, ViewList, ViewState
 from .metrics import Metrics
-from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
-from .query_fields import (
-    AskCatalogue,
-    CatalogueAnswer,
-    CatalogueScenes,
-    Export,
-    Locate,
-    Picture,
-    Segment,
-    Select,
-    WhatIs,
-    When,
-)
-from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, Reply, faults_of, is_json, problem, refusal
-from .scene_folder import SceneFolder, Sources, without_paths
+from .models import Health, ObjectList, Problem, SceneDetails, SceneList
+from .query_fields import AskCatalogue, CatalogueAnswer, CatalogueScenes
+from .replies import BUG, JPEG, NO_JSON, PLY, PNG, Reply, faults_of, is_json, problem, refusal
+from .scene_folder import SceneFolder, without_paths
 from .workbench import Adding, Job, Workbench
-from .worker import Workplace
+from .worker import ANSWERS, Answering, Workplace
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>drsplat</title><style>
@@ -62,26 +50,6 @@ pre {{ padding: .8rem; overflow-x: auto }}
 scenes</a> lists what can be asked.</p>
 </body></html>
 """
-
-
-def _rows(description: Mapping[str, Any]) -> Iterator[str]:
-    for path, methods in description["paths"].items():
-        for method, route in methods.items():
-            name = f"{method.upper()} {path}"
-            yield f"<tr><td><code>{escape(name)}</code></td><td>{escape(route['description'])}</td></tr>"
-
-
-def _examples(description: Mapping[str, Any]) -> Iterator[str]:
-    schemas = description["components"]["schemas"]
-    for path, methods in description["paths"].items():
-        body = methods.get("post", {}).get("requestBody")
-        if body is None:
-            continue
-        name = body["content"]["application/json"]["schema"]["$ref"].rpartition("/")[2]
-        given = json.dumps(schemas[name]["examples"][0])
-        address = "localhost:8765" + path.replace("{scene}", "NAME")
-        line = f"curl -s {address} -H 'content-type: application/json' -d '{given}'"
-        yield f"<pre>{escape(line)}</pre>"
 
 
 class StrictRequest(Request):
@@ -119,6 +87,8 @@ RETRY_STATUSES = (429, 503)
 GRACE_S = 5  # beyond the longest request
 Scene = Annotated[str, InPath(min_length=1, max_length=200, description="a name from /scenes")]
 Number = Annotated[int, InPath(ge=0, le=2**31 - 1, description="an id from /scenes/{scene}/objects")]
+Compute = Callable[..., Coroutine[Any, Any, Response]]
+"""Ask the workbench: the act, the scene, what is called with the reply, and what is asked by name."""
 Responses = dict[int | str, dict[str, Any]]
 REFUSALS = {
     400: "not HTTP as expected", 401: "no key, or a wrong one", 404: "no such scene or photo",
@@ -131,16 +101,6 @@ REFUSALS_OF_VIEWS = {
     403: "the service takes no photos, or not from this page", 409: "another photo has the name",
     429: "many photos wait already", 507: "the disk is full",
 }  # fmt: skip
-QUERIES: tuple[tuple[str, type[BaseModel], Any, str], ...] = (
-    ("select", Select, Selected, "Select the Gaussians of a text, vector, image, point or click."),
-    ("locate", Locate, Located, "Locate the matches of a query, best first: centre, oriented box, supporting photos."),
-    ("when", When, models.When, "Find the spans of time in which one match stands in a relation to another."),
-    ("segment", Segment, Segmented, "Give each Gaussian the best of some classes."),
-    ("what-is", WhatIs, Words, "Name what is at a point or a pixel, best words first."),
-    ("picture", Picture, (PNG,), "Render a picture as PNG, optionally with the matches of a query kept in colour."),
-    ("export", Export, (GLB, PLY), "Export the scene for other programs: GLB with named objects, PLY or SPZ."),
-)
-"""Route, request, answer or its types of media, and what it does."""
 
 
 def refusals(texts: Mapping[int, str]) -> Responses:
@@ -162,21 +122,17 @@ def sent(reply: Reply, headers: Any = None) -> Response:
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Workplace):
     """key: of the service, None for none. hosts: as in `Guard`. origins: of pages whose scripts may read answers.
 
-    catalogue: folder of one, None for none. takes_views: whether photos may be sent to the scenes, with the key.
+    takes_views: whether photos may be sent to the scenes, with the key.
 
     Raises: InputError: photos may be sent, and there is no key.
     """
 
-    folder: str
-    sources: Sources = field(default_factory=Sources)
-    limits: Limits = field(default_factory=Limits)
     key: str | None = field(default=None, repr=False)
     hosts: tuple[str, ...] | None = None
     origins: tuple[str, ...] = ()
-    catalogue: str | None = None
     takes_views: bool = False
 
     def __post_init__(self) -> None:
@@ -194,11 +150,8 @@ class Settings:
 
 def create_app(settings: Settings) -> FastAPI:
     """Create the service over the scenes of a folder, an ASGI application. Raises: InputError: no such folder."""
-    limits, metrics = settings.limits, Metrics()
-    catalogue = None if settings.catalogue is None else Path(settings.catalogue)
-    scene_folder = SceneFolder(Path(settings.folder), settings.sources, catalogue_path=catalogue)
-    place = Workplace(settings.folder, settings.sources, limits, settings.catalogue)
-    bench, adding = Workbench(place, metrics), Adding(scene_folder, place, metrics)
+    metrics, scene_folder = Metrics(), settings.scene_folder()
+    bench, adding = Workbench(settings, metrics), Adding(scene_folder, settings, metrics)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -209,42 +162,32 @@ def create_app(settings: Settings) -> FastAPI:
         adding.close()
         bench.close()
 
+    async def compute(
+        act: str, scene: str = "", then: Callable[[Reply], None] = lambda _: None, /, **asked: Any
+    ) -> Response:
+        return sent(await bench.run(Job(act, scene, asked, then)))
+
     app = FastAPI(
-        title="drsplat",
-        version=__version__,
-        description=DESCRIPTION,
-        lifespan=lifespan,
-        docs_url=None,  # these load scripts from elsewhere
-        redoc_url=None,
-        responses=refusals(REFUSALS),
-    )
-    app.router.route_class = StrictRoute
+        title="drsplat", version=__version__, description=DESCRIPTION, lifespan=lifespan, responses=refusals(REFUSALS),
+        docs_url=None, redoc_url=None,  # these load scripts from elsewhere
+    )  # fmt: skip
+    app.router.route_class, app.state.bench, app.state.adding = StrictRoute, bench, adding
     _add_errors(app, scene_folder)
-    app.state.bench, app.state.adding = bench, adding
     _add_watching(app, scene_folder, metrics)
-    _add_scenes(app, bench)
-    _add_objects(app, bench)
-    _add_live(app, bench, adding, settings.why_not)
-    for act, request, answer, about in QUERIES:
-        _add_query(app, bench, act, request, answer, about)
+    _add_scenes(app, compute)
+    _add_live(app, compute, adding, settings)
+    _add_queries(app, compute)
     if settings.catalogue is not None:
-        _add_catalogue(app, bench)
+        _add_catalogue(app, compute)
     _add_pages(app)
-    app.add_middleware(Guard, limits=limits, metrics=metrics, key=settings.key, hosts=settings.hosts)  # type: ignore[arg-type]
-    if settings.origins:
-        _allow(app, settings.origins)
+    guarding = {"limits": settings.limits, "metrics": metrics, "key": settings.key, "hosts": settings.hosts}
+    app.add_middleware(Guard, **guarding)  # type: ignore[arg-type]
+    if settings.origins:  # before the guard: a browser asks without the key whether it may ask with it
+        app.add_middleware(
+            CORSMiddleware, allow_origins=list(settings.origins), allow_methods=["GET", "POST"],
+            allow_headers=["authorization", "x-api-key", "content-type"], expose_headers=[FIELD_HEADER, "retry-after"],
+        )  # fmt: skip
     return app
-
-
-def _allow(app: FastAPI, origins: Sequence[str]) -> None:
-    """Allow origins before the guard: a browser asks without the key whether it may ask with it."""
-    app.add_middleware(
-        CORSMiddleware,
-        allow_origins=list(origins),
-        allow_methods=["GET", "POST"],
-        allow_headers=["authorization", "x-api-key", "content-type"],
-        expose_headers=[FIELD_HEADER, "retry-after"],
-    )
 
 
 def _add_errors(app: FastAPI, scene_folder: SceneFolder) -> None:
@@ -261,20 +204,16 @@ def _add_errors(app: FastAPI, scene_folder: SceneFolder) -> None:
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> Response:
-        return sent(problem(error.status_code, _routing_fault(request, error), "http"), error.headers)
+        said = str(error.detail)
+        if error.status_code == 404:
+            said = f"there is nothing at {request.url.path!a:.80}: GET /openapi.json lists the routes"
+        elif error.status_code == 405:
+            said = f"expected {(error.headers or {}).get('Allow', 'another method')} here, got {request.method}"
+        return sent(problem(error.status_code, said, "http"), error.headers)
 
     @app.exception_handler(Exception)
     async def failed(_: Any, __: Exception) -> Response:
         return sent(problem(500, BUG, "bug"))  # uvicorn logs the traceback
-
-
-def _routing_fault(request: Request, error: HTTPException) -> str:
-    """Return what was expected of a request that no route takes."""
-    if error.status_code == 404:
-        return f"there is nothing at {request.url.path!a:.80}: GET /openapi.json lists the routes"
-    if error.status_code == 405:
-        return f"expected {(error.headers or {}).get('Allow', 'another method')} here, got {request.method}"
-    return str(error.detail)
 
 
 def _add_watching(app: FastAPI, scene_folder: SceneFolder, metrics: Metrics) -> None:
@@ -294,16 +233,16 @@ def _add_watching(app: FastAPI, scene_folder: SceneFolder, metrics: Metrics) -> 
         return Response(metrics.text(), media_type=metrics.content_type)
 
 
-def _add_scenes(app: FastAPI, bench: Workbench) -> None:
+def _add_scenes(app: FastAPI, compute: Compute) -> None:
     @app.get("/scenes", tags=["scenes"], response_model=SceneList)
     async def scenes() -> Response:
         """List all scenes, without opening them."""
-        return sent(await bench.run(Job("list")))
+        return await compute("list")
 
     @app.get("/scenes/{scene}", tags=["scenes"], response_model=SceneDetails)
     async def scene_details(scene: Scene) -> Response:
         """Describe one scene: its size, its photos, which way is up."""
-        return sent(await bench.run(Job("details", scene, {"name": scene})))
+        return await compute("details", scene, name=scene)
 
     @app.get("/scenes/{scene}/photo", tags=["scenes"], response_class=Response, responses=binary(PNG))
     async def photo(
@@ -312,53 +251,58 @@ def _add_scenes(app: FastAPI, bench: Workbench) -> None:
         max_side: Annotated[int, Query(ge=16, le=Limits.side)] = 800,
     ) -> Response:
         """Send a photo of the scene, such as a supporting one, as PNG."""
-        return sent(await bench.run(Job("photo", scene, {"view": view, "max_side": max_side})))
+        return await compute("photo", scene, view=view, max_side=max_side)
 
-
-def _add_objects(app: FastAPI, bench: Workbench) -> None:
     @app.get("/scenes/{scene}/objects", tags=["objects"], response_model=ObjectList)
     async def objects(
         scene: Scene, all: Annotated[bool, Query(description="list also the objects that photos agree less on")] = False
     ) -> Response:
         """List the objects of a scene that photos agree on, found across photos, without any word for them."""
-        return sent(await bench.run(Job("objects", scene, {"all": all})))
+        return await compute("objects", scene, all=all)
 
     @app.get(
         "/scenes/{scene}/objects/{number}/picture", tags=["objects"], response_class=Response, responses=binary(JPEG)
     )
     async def object_picture(scene: Scene, number: Number) -> Response:
         """Send an object, cut out of the photo that shows it best, as JPEG."""
-        return sent(await bench.run(Job("object-picture", scene, {"number": number})))
+        return await compute("object-picture", scene, number=number)
 
     @app.get("/scenes/{scene}/objects/{number}/ply", tags=["objects"], response_class=Response, responses=binary(PLY))
     async def object_ply(scene: Scene, number: Number) -> Response:
         """Send the Gaussians of an object, as PLY."""
-        return sent(await bench.run(Job("object-ply", scene, {"number": number})))
+        return await compute("object-ply", scene, number=number)
 
 
-def _add_query(app: FastAPI, bench: Workbench, act: str, request: type[BaseModel], answer: Any, about: str) -> None:
-    async def computed(scene: Scene, asked: request) -> Response:  # type: ignore[valid-type]
-        return sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))  # type: ignore[attr-defined]
-
-    sends_bytes, name = isinstance(answer, tuple), act.replace("-", "_")
-    made = {"response_class": Response, "responses": binary(*answer)} if sends_bytes else {"response_model": answer}
-    app.post(f"/scenes/{{scene}}/{act}", tags=["queries"], name=name, description=about, **made)(computed)
+def _add_queries(app: FastAPI, compute: Compute) -> None:
+    for act, way in ANSWERS.items():
+        if way.asked is not None:
+            _add_query(app, compute, act, way)
 
 
-def _add_live(app: FastAPI, bench: Workbench, adding: Adding, why_not: Callable[[str | None, str], str]) -> None:
-    """Add routes for views that are sent. why_not: of a request's Origin and Host, why it may not do so, or ""."""
+def _add_query(app: FastAPI, compute: Compute, act: str, way: Answering) -> None:
+    async def computed(scene: Scene, asked: way.asked) -> Response:  # type: ignore[name-defined]
+        return await compute(act, scene, **asked.model_dump(mode="json"))
+
+    made: dict[str, Any] = {"response_model": signature(way.answer).return_annotation}
+    if way.media:
+        made = {"response_class": Response, "responses": binary(*way.media)}
+    made |= {"name": act.replace("-", "_"), "description": (way.answer.__doc__ or "").partition("\n")[0]}
+    app.post(f"/scenes/{{scene}}/{act}", tags=["queries"], **made)(computed)
+
+
+def _add_live(app: FastAPI, compute: Compute, adding: Adding, settings: Settings) -> None:
+    """Add routes for views that are sent."""
     responses = refusals(REFUSALS_OF_VIEWS) | {200: {"model": ViewState, "description": "sent before"}}
 
     @app.get("/scenes/{scene}/views", tags=["views"], response_model=ViewList)
     async def views(scene: Scene) -> Response:
         """List the photos that were sent to a scene, and what has become of each."""
-        asked = {"working": adding.working(scene), "problem": adding.problem(scene)}
-        return sent(await bench.run(Job(LIST, scene, asked)))
+        return await compute(LIST, scene, working=adding.working(scene), problem=adding.problem(scene))
 
     @app.post("/scenes/{scene}/views", tags=["views"], status_code=202, response_model=ViewState, responses=responses)
     async def take_view(scene: Scene, view: NewView, request: Request) -> Response:
         """Take a posed photo: it is on disk when this is answered, and added to the scene's field within seconds."""
-        refused = why_not(request.headers.get("origin"), request.headers.get("host", ""))
+        refused = settings.why_not(request.headers.get("origin"), request.headers.get("host", ""))
         if refused:
             return sent(problem(403, refused, "not let"))
 
@@ -366,19 +310,19 @@ def _add_live(app: FastAPI, bench: Workbench, adding: Adding, why_not: Callable[
             if reply.status == 202:
                 adding.notice(scene)
 
-        return sent(await bench.run(Job(TAKE, scene, view.model_dump(mode="json", exclude_none=True), added)))
+        return await compute(TAKE, scene, added, **view.model_dump(mode="json", exclude_none=True))
 
 
-def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
+def _add_catalogue(app: FastAPI, compute: Compute) -> None:
     @app.get("/catalogue", tags=["catalogue"], response_model=CatalogueScenes)
     async def catalogue_scenes() -> Response:
         """List the scenes whose objects can be asked for together."""
-        return sent(await bench.run(Job("catalogue-list")))
+        return await compute("catalogue-list")
 
     @app.post("/catalogue/ask", tags=["catalogue"], response_model=CatalogueAnswer)
     async def ask_catalogue(asked: AskCatalogue) -> Response:
         """Search the objects of all scenes by a text, vector or image, best first."""
-        return sent(await bench.run(Job("catalogue-ask", asked=asked.model_dump(mode="json"))))
+        return await compute("catalogue-ask", **asked.model_dump(mode="json"))
 
     @app.get("/catalogue/picture", tags=["catalogue"], response_class=Response, responses=binary(JPEG))
     async def catalogue_picture(
@@ -387,8 +331,7 @@ def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
         tile: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
     ) -> Response:
         """Send the thumbnail of an object, as JPEG."""
-        asked = {"scene": scene, "object_id": object_id, "tile": tile}
-        return sent(await bench.run(Job("catalogue-picture", asked=asked)))
+        return await compute("catalogue-picture", scene=scene, object_id=object_id, tile=tile)
 
 
 def _add_pages(app: FastAPI) -> None:
@@ -396,16 +339,24 @@ def _add_pages(app: FastAPI) -> None:
     @app.get("/docs", include_in_schema=False)
     async def page() -> HTMLResponse:
         safe = {"content-security-policy": "default-src 'none'; style-src 'unsafe-inline'"}
-        description = app.openapi()
-        return HTMLResponse(
-            _PAGE.format(
-                version=escape(description["info"]["version"]),
-                about=escape(description["info"]["description"]),
-                routes="".join(_rows(description)),
-                examples="".join(_examples(description)),
-            ),
-            headers=safe,
-        )
+        return HTMLResponse(_page_of(app.openapi()), headers=safe)
+
+
+def _page_of(description: Document) -> str:
+    """Return a page of all routes, with an example of each that takes a body."""
+    routes, examples, schemas = [], [], description["components"]["schemas"]
+    for path, methods in description["paths"].items():
+        for method, route in methods.items():
+            name = escape(f"{method.upper()} {path}")
+            routes.append(f"<tr><td><code>{name}</code></td><td>{escape(route['description'])}</td></tr>")
+        if body := methods.get("post", {}).get("requestBody"):
+            asked = body["content"]["application/json"]["schema"]["$ref"].rpartition("/")[2]
+            given = json.dumps(schemas[asked]["examples"][0])
+            address = "localhost:8765" + path.replace("{scene}", "NAME")
+            line = f"curl -s {address} -H 'content-type: application/json' -d '{given}'"
+            examples.append(f"<pre>{escape(line)}</pre>")
+    version, about = (escape(description["info"][name]) for name in ("version", "description"))
+    return _PAGE.format(version=version, about=about, routes="".join(routes), examples="".join(examples))
 
 
 def serve(settings: Settings, listening: socket.socket, quiet: bool = False) -> None:

@@ -1,7 +1,7 @@
 """Conversation of a language model with a scene: each method is a tool with a short answer to reason on."""
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from ... import query as engine
+from ...base.arrays import Vector3
 from ...base.contents import Document
 from ...errors import InputError
 from ...query.documents import rounded
@@ -36,15 +37,14 @@ from .models import (
     When,
     Word,
     decimals_of,
+    frame_document,
+    ids_of,
     listed_objects,
     matches_of,
     measured,
     object_list,
-    span_of,
-    tracked,
-    when_told,
 )
-from .query_fields import Tool, values_of
+from .query_fields import values_of
 from .replies import png
 
 MAX_MATCHES, MAX_OBJECTS, MAX_NAMES, MAX_TEXT_CHARACTERS, MAX_PHOTOS = 20, 100, 100, 200, 8
@@ -57,8 +57,12 @@ On = Annotated[
     Field(description="only those that stand on this, e.g. 'table'", min_length=1, max_length=MAX_TEXT_CHARACTERS),
 ]
 Names = Annotated[
-    list[str] | None, Field(description="words to choose from; may be left out for encoders that know a list")
-]
+    list[Annotated[str, Field(max_length=MAX_TEXT_CHARACTERS)]] | None,
+    Field(
+        description="words to choose from; may be left out for encoders that know a list",
+        min_length=1, max_length=MAX_NAMES,
+    ),
+]  # fmt: skip
 WorldPoint = Annotated[list[float], Field(description="[x, y, z], world", min_length=3, max_length=3)]
 Boxes = Annotated[
     BoxKind, Field(description="upright: the third axis of boxes is up; free: along the match's own axes")
@@ -97,19 +101,14 @@ class Conversation:
     @_tool("About a scene")
     def about_scene(self) -> About:
         """Describe a scene: its size, where it lies, which way is up, the unit of lengths, some of its photos."""
-        digits, names = decimals_of(self.scene), [view.name for view in self.scene.views]
-        up = None if self.scene.up is None else rounded(self.scene.up, 4)
-        low, high = self.scene.box
+        names = [view.name for view in self.scene.views]
+        known = self.scene.up is not None
         return About(
+            **frame_document(self.scene),
             scene=self.name,
-            low=rounded(low, digits),
-            high=rounded(high, digits),
-            up=up,
-            times=span_of(self.scene),
             num_photos=len(names),
             some_photos=names[:: max(1, len(names) // MAX_PHOTOS)][:MAX_PHOTOS],
-            field=self._field,
-            advice="" if up else "the photos do not tell which way is up: count and locate know no 'on'",
+            advice="" if known else "the photos do not tell which way is up: count and locate know no 'on'",
         )
 
     @_tool("Locate matches", Place.MCP)
@@ -122,12 +121,11 @@ class Conversation:
         answer = self.scene.ask(_query_of(text, cut))
         every = self.scene.locate(answer, box=box)
         matches = self._standing_on(on, every, cut)
-        listed = matches[:top]
         return Located(
             query=_query(text, on),
             count=sum(match.sure for match in matches),
             num_matches=len(matches),
-            matches=tracked(self.scene, listed, box, MAX_TRACK_TIMES) if tracks else matches_of(self.scene, listed),
+            matches=matches_of(self.scene, matches[:top], box if tracks else None, MAX_TRACK_TIMES),
             advice=self._advice(text, every, matches, on),
             measured=measured(answer),
             field=self._field,
@@ -193,7 +191,9 @@ class Conversation:
     @_tool("What is at a point")
     def what_is_at(self, point: WorldPoint, names: Names = None) -> PointWords:
         """Name what is at a point of the scene, best words first."""
-        return self._words_at((point[0], point[1], point[2]), names)
+        x, y, z = point
+        nearest = np.array([self.scene.nearest((x, y, z))])
+        return self._words_at((x, y, z), self.scene.rows.shapes_of(nearest).positions[0], names)
 
     @_tool("What is at a pixel")
     def what_is_at_pixel(
@@ -204,7 +204,7 @@ class Conversation:
         names: Names = None,
     ) -> PointWords:
         """Name what a pixel of a photo shows, and tell where that is in the scene."""
-        return self._words_at((view, x, y), names)
+        return self._words_at((view, x, y), self.scene.point_at((view, x, y)), names)
 
     @_tool("List objects")
     def list_objects(
@@ -252,7 +252,8 @@ class Conversation:
         self, center: WorldPoint, radius: Annotated[float, Field(gt=0, description="scene units")], names: Names = None
     ) -> Region:
         """Name what lies within a radius of a point: names, how much of the region each is, and where."""
-        parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
+        x, y, z = center
+        parts = region(self.scene, (x, y, z), radius, names)
         digits = decimals_of(self.scene)
         listed = [
             Part(**one._asdict() | {"share": round(one.share, 4), "center": rounded(one.center, digits)})
@@ -264,7 +265,10 @@ class Conversation:
     @_tool("Show a picture", Place.MCP)
     def show(
         self,
-        text: Annotated[str | None, Field(description="kept in colour, the rest grey; left out: all as it is")] = None,
+        text: Annotated[
+            str | None,
+            Field(description="kept in colour, the rest grey; left out: all as it is", max_length=MAX_TEXT_CHARACTERS),
+        ] = None,
         view: Annotated[str | None, Field(description="a photo's name; left out: the best one")] = None,
         **cut: Any,
     ) -> RenderedPicture:
@@ -272,8 +276,7 @@ class Conversation:
         ids, advice, count = None, "", 0
         if text:
             found = self.scene.locate(_query_of(text, cut))
-            count = len(found)
-            ids = np.concatenate([m.gaussian_ids for m in found] or [np.empty(0, np.int64)])
+            count, ids = len(found), ids_of(found)
             advice = "" if found else self._absent(text)
         chosen = self.scene.view(view) if view else self.scene.best_view(ids if count else None)
         pixels = self.scene.picture(chosen, ids, max_side=PICTURE_SIDE_PIXELS)
@@ -305,14 +308,10 @@ class Conversation:
         return matches if on is None else standing_on(self.scene, matches, _query_of(on, {**cut, "during": None}))
 
     def _words_at(
-        self, place: tuple[float, float, float] | tuple[str, float, float], names: list[str] | None
+        self, place: tuple[float, float, float] | tuple[str, float, float], point: Vector3, names: list[str] | None
     ) -> PointWords:
-        words = self.scene.what_is(place, _names(names))
-        return PointWords(
-            point=rounded(_point(self.scene, place), decimals_of(self.scene)),
-            words=[Word(name=word.text, score=round(word.score, 4)) for word in words],
-            field=self._field,
-        )
+        words = words_of(self.scene.what_is(place, names))
+        return PointWords(point=rounded(point, decimals_of(self.scene)), words=words, field=self._field)
 
     def _object(self, text: str) -> engine.Match:
         """Find it by its number, its label, or the largest match of words: as an object, where it is most of one."""
@@ -324,7 +323,7 @@ class Conversation:
         labelled = [one for one in every if one.object_id is not None and things.thing(one.object_id) in named]
         if labelled:
             return labelled[0]
-        found = [one for one in self.scene.locate(_text(text)) if one.sure]
+        found = [one for one in self.scene.locate(text) if one.sure]
         if not found:
             raise InputError(self._absent(text))
         match = max(found, key=len)
@@ -338,9 +337,12 @@ class Conversation:
         return found[0]
 
 
-def tool_answer(scene: engine.Scene, asked: Tool, _: Limits) -> Body:
-    """Return a tool's answer with the reasons not to rely on words in its scene, if there are any."""
-    answer = TOOLS[asked.tool].method(Conversation(scene, asked.name), **asked.arguments)
+def tool_answer(scene: engine.Scene, asked: Document, _: Limits) -> Body:
+    """Return a tool's answer with the reasons not to rely on words in its scene, if there are any.
+
+    asked: the `tool`, the `name` of the scene here, and `arguments`.
+    """
+    answer = TOOLS[asked["tool"]].method(Conversation(scene, asked["name"]), **asked["arguments"])
     advice, doubts = getattr(answer, "advice", None), (scene.doubt, scene.background.list_doubt)
     if advice is None or not any(doubts):
         return answer
@@ -351,26 +353,25 @@ def _query(text: str, on: str | None) -> str:
     return text if on is None else f"{text} on {on}"
 
 
-def _text(text: str) -> str:
-    if not text.strip() or len(text) > MAX_TEXT_CHARACTERS:
-        raise InputError(
-            f"text: expected a few words that name an object, at most {MAX_TEXT_CHARACTERS} characters; got {len(text)}"
-        )
-    return text
-
-
 def _query_of(text: str, cut: Document) -> engine.Query:
-    return engine.Query(_text(text), **values_of(cut, of=CUT))
+    return engine.Query(text, **values_of(cut, of=CUT))
 
 
-def _names(names: list[str] | None) -> list[str] | None:
-    if names is not None and (not 1 <= len(names) <= MAX_NAMES or any(len(one) > MAX_TEXT_CHARACTERS for one in names)):
-        raise InputError(f"names: expected 1 to {MAX_NAMES} texts of at most {MAX_TEXT_CHARACTERS} characters")
-    return names
+def when_told(
+    scene: engine.Scene, one: engine.Query, relation: str, other: engine.Query, view: str | None = None
+) -> When:
+    """Return when two queries stand in a relation. Raises: as `Scene.when`."""
+    spans = scene.when(one, relation, other, view)
+    return When(
+        one=one.text or "",
+        relation=relation,
+        other=other.text or "",
+        spans=[list(span) for span in spans],
+        times=list(scene.moving.span),
+        field=scene.field.fingerprint,
+        advice="" if spans else "at no time; locate with tracks says where each is",
+    )
 
 
-def _point(scene: engine.Scene, place: tuple[float, float, float] | tuple[str, float, float]) -> np.ndarray:
-    if isinstance(place[0], str):
-        return scene.point_at((place[0], place[1], place[2]))
-    nearest = np.array([scene.nearest((place[0], place[1], place[2]))])
-    return scene.rows.shapes_of(nearest).positions[0]
+def words_of(words: Sequence[engine.Word]) -> list[Word]:
+    return [Word(name=word.text, score=round(word.score, 4)) for word in words]

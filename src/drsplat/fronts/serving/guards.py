@@ -86,7 +86,8 @@ class DoorKeeper:
     async def turned_away(self, scope: Message, answer: "Answer") -> bool:
         """Refuse a request that may not come in; return True if it was refused."""
         headers = dict(scope["headers"])
-        given = headers.get(b"x-api-key") or _bearer(headers.get(b"authorization", b""))
+        scheme, _, token = headers.get(b"authorization", b"").partition(b" ")
+        given = headers.get(b"x-api-key") or (token.strip() if scheme.lower() == b"bearer" else b"")
         if not (self.key is None or scope["path"] in KEYLESS_PATHS or is_secret(given, self.key)):
             await answer.refuse(401, "unauthorised", "give the key: Authorization: Bearer KEY")
         elif self.hosts is not None and not is_addressed(headers.get(b"host", b"").decode("latin-1"), self.hosts):
@@ -183,12 +184,6 @@ class Answer:
         headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode()), *more]
         await self({"type": "http.response.start", "status": status, "headers": headers})
         await self({"type": "http.response.body", "body": body})
-
-
-def _bearer(header: bytes) -> bytes:
-    """Return the token of an `Authorization` header with the scheme Bearer, in letters of either case."""
-    scheme, _, token = header.partition(b" ")
-    return token.strip() if scheme.lower() == b"bearer" else b""
 
 
 class Body:

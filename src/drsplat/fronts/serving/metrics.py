@@ -1,6 +1,7 @@
 """Metrics of the service, for Prometheus."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
@@ -15,37 +16,22 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        self._requests = Counter(
-            "drsplat_requests_total", "Requests answered", ("route", "status"), registry=self.registry
-        )
-        self._seconds = Histogram(
-            "drsplat_request_seconds",
-            "From the first byte to the answer",
-            ("route",),
-            buckets=ANSWER_BUCKETS_S,
-            registry=self.registry,
-        )
-        self.computing = Gauge("drsplat_computing", "Requests that compute now", registry=self.registry)
-        self.waiting = Gauge("drsplat_waiting", "Requests that wait to compute", registry=self.registry)
-
-        self._views = Counter(
-            "drsplat_views_total", "Views that were sent, by what became of them", ("outcome",), registry=self.registry
-        )
-        self._view_seconds = Histogram(
-            "drsplat_view_seconds",
-            "From the arrival of a view to being in the field",
-            buckets=VIEW_BUCKETS_S,
-            registry=self.registry,
-        )
-        self.views_waiting = Gauge("drsplat_views_waiting", "Views that wait to be added", registry=self.registry)
-
-    def view_taken(self) -> None:
-        self._views.labels("taken").inc()
+        own: dict[str, Any] = {"registry": self.registry}
+        self._requests = Counter("drsplat_requests_total", "Requests answered", ("route", "status"), **own)
+        told = "From the first byte to the answer"
+        self._seconds = Histogram("drsplat_request_seconds", told, ("route",), buckets=ANSWER_BUCKETS_S, **own)
+        self.computing = Gauge("drsplat_computing", "Requests that compute now", **own)
+        self.waiting = Gauge("drsplat_waiting", "Requests that wait to compute", **own)
+        told = "Views that were sent, by what became of them"
+        self.views = Counter("drsplat_views_total", told, ("outcome",), **own)
+        told = "From the arrival of a view to being in the field"
+        self._view_seconds = Histogram("drsplat_view_seconds", told, buckets=VIEW_BUCKETS_S, **own)
+        self.views_waiting = Gauge("drsplat_views_waiting", "Views that wait to be added", **own)
 
     def views_done(self, seconds: Sequence[float], num_refused: int) -> None:
         """Count views that were added, by their seconds, and views that were refused."""
-        self._views.labels("added").inc(len(seconds))
-        self._views.labels("refused").inc(num_refused)
+        self.views.labels("added").inc(len(seconds))
+        self.views.labels("refused").inc(num_refused)
         for one in seconds:
             self._view_seconds.observe(one)
 

@@ -11,7 +11,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ... import query as engine
-from ...query.documents import answer_document, match_document, object_documents, track_document
+from ...base.arrays import RowIds
+from ...base.contents import Document
+from ...query.documents import answer_document, match_document, object_documents, rounded, track_document
 from ...scene.boxes import BoxKind
 
 UNITS = "scene units"
@@ -381,40 +383,27 @@ def measured(answer: engine.Answer) -> Measured:
     return Measured(**answer_document(answer) | {"threshold": significant(answer.threshold)})
 
 
-def matches_of(scene: engine.Scene, matches: Sequence[engine.Match]) -> list[Match]:
-    return [Match(**match_document(match, decimals_of(scene), scene.georeference)) for match in matches]
+def matches_of(
+    scene: engine.Scene, matches: Sequence[engine.Match], tracks: BoxKind | None = None, most: int | None = None
+) -> list[Match]:
+    """Return matches. tracks: the boxes of their tracks, None for no tracks. most: times and photos of a track at most.
 
-
-def tracked(scene: engine.Scene, matches: Sequence[engine.Match], box: BoxKind, most: int | None = None) -> list[Match]:
-    """Return matches with their tracks. most: times and photos of each at most, evenly chosen; None: all of them.
-
-    Raises: InputError: a scene that stands still.
+    Raises: InputError: tracks of a scene that stands still.
     """
     digits = decimals_of(scene)
-    tracks = (track_document(track, digits, most) for track in scene.tracks(matches, box))
-    documents = (match_document(one, digits, scene.georeference) for one in matches)
-    return [Match(**one | {"track": track}) for one, track in zip(documents, tracks, strict=True)]
+    documents = [match_document(match, digits, scene.georeference) for match in matches]
+    if tracks is not None:
+        for document, track in zip(documents, scene.tracks(matches, tracks), strict=True):
+            document["track"] = track_document(track, digits, most)
+    return [Match(**document) for document in documents]
 
 
-def when_told(
-    scene: engine.Scene, one: engine.Query, relation: str, other: engine.Query, view: str | None = None
-) -> When:
-    """Return when two queries stand in a relation. Raises: as `Scene.when`."""
-    spans = scene.when(one, relation, other, view)
-    return When(
-        one=one.text or "",
-        relation=relation,
-        other=other.text or "",
-        spans=[list(span) for span in spans],
-        times=list(scene.moving.span),
-        field=scene.field.fingerprint,
-        advice="" if spans else "at no time; locate with tracks says where each is",
-    )
-
-
-def span_of(scene: engine.Scene) -> list[float] | None:
-    """Return first and last time of a scene that moves."""
-    return None if scene.motion is None else list(scene.motion.span)
+def frame_document(scene: engine.Scene) -> Document:
+    """Return where a scene lies, which way is up in it, and its first and last time if it moves."""
+    low, high = (rounded(corner, decimals_of(scene)) for corner in scene.box)
+    up = None if scene.up is None else rounded(scene.up, 4)
+    times = None if scene.motion is None else list(scene.motion.span)
+    return {"low": low, "high": high, "up": up, "times": times, "field": scene.field.fingerprint}
 
 
 def listed_objects(scene: engine.Scene, every: bool) -> tuple[list[engine.Match], int]:
@@ -438,6 +427,11 @@ def object_list(scene: engine.Scene, shown: Sequence[engine.Match], advice: str 
         advice=advice,
         field=scene.field.fingerprint,
     )
+
+
+def ids_of(matches: Sequence[engine.Match]) -> RowIds:
+    """Return the Gaussians of some matches."""
+    return np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
 
 
 def decimals_of(scene: engine.Scene) -> int:

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from ... import query as engine
 from ...base.contents import Document
 from ...errors import InputError, did_you_mean
-from ...query.catalogue import Catalogue, Conditions, Entry
+from ...query.catalogue import Catalogue, Conditions
 from ...query.defaults import MIN_GAUSSIANS
 from ...query.relations import OfTwo
 from ...query.schema import CUT, FIELDS, SUBJECTS, Kind, Place, QueryField, fields
@@ -90,15 +90,18 @@ _TYPES: Mapping[Kind, Any] = {
     "span": Annotated[list[Finite], Field(min_length=2, max_length=2)],
 }
 _NOTES: Mapping[Kind, str] = {"picture": "; base64 of PNG, JPEG, WebP, TIFF, BMP or PPM"}
+
+
+def _as_tuple(values: Any, _: Limits) -> tuple[Any, ...]:
+    return tuple(values)
+
+
 _READERS: Mapping[Kind, Callable[[Any, Limits], Any]] = {
-    "texts": lambda texts, _: tuple(texts),
-    "negatives": lambda texts, _: tuple(texts),
+    "texts": _as_tuple, "negatives": _as_tuple, "point": _as_tuple, "span": _as_tuple,
     "vector": lambda numbers, _: np.asarray(numbers, np.float32),
     "picture": lambda text, limits: decoded(from_base64(text, "image"), limits.pixels),
-    "point": lambda numbers, _: tuple(numbers),
     "pixel": lambda click, _: (click.view, click.x, click.y),
-    "span": lambda times, _: tuple(times),
-}
+}  # fmt: skip
 
 
 def annotation(field: QueryField) -> Any:
@@ -181,39 +184,6 @@ class When(Request):
     """a photo's name, for left_of and right_of only"""
 
     model_config = examples({"one": "red car", "relation": "next_to", "other": "white vase"})
-
-
-class Details(Request):
-    """name: what the scene is called here."""
-
-    name: str
-
-
-class Objects(Request):
-    """The objects of a scene that photos agree on, or all."""
-
-    all: bool = False
-
-
-class OneObject(Request):
-    """An object by its number."""
-
-    number: int
-
-
-class Photo(Request):
-    """A photo of the scene by its name."""
-
-    view: str
-    max_side: int
-
-
-class Tool(Request):
-    """One of `Conversation`'s, about the scene that is called `name` here."""
-
-    tool: str
-    name: str
-    arguments: Document
 
 
 @asking(Place.HTTP)
@@ -307,14 +277,6 @@ class AskCatalogue(Request):
     model_config = examples({"text": "red mug", "top": 5})
 
 
-class CataloguePicture(Request):
-    """The thumbnail of an object by its scene and number."""
-
-    scene: str
-    object_id: int
-    tile: int
-
-
 class CatalogueMatch(Body):
     """An object of one of the scenes, with its oriented box in that scene's world."""
 
@@ -380,8 +342,7 @@ class CatalogueScenes(Body):
 def catalogue_reply(catalogue: Catalogue, act: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
     """Answer an act: "catalogue-list", "catalogue-ask" or "catalogue-picture". Raises: DrSplatError."""
     if act == "catalogue-picture":
-        which = CataloguePicture(**asked)
-        return Reply(catalogue.thumbnail(which.scene, which.object_id, which.tile), JPEG)
+        return Reply(catalogue.thumbnail(asked["scene"], asked["object_id"], asked["tile"]), JPEG)
     if act == "catalogue-ask":
         return Reply(_answered(catalogue, AskCatalogue(**asked), limits).model_dump_json().encode())
     listed = catalogue.scenes()
@@ -393,18 +354,17 @@ def catalogue_reply(catalogue: Catalogue, act: str, asked: Mapping[str, Any], li
 def _answered(catalogue: Catalogue, asked: AskCatalogue, limits: Limits) -> CatalogueAnswer:
     query = query_of(asked, limits)
     answer = catalogue.answer(query, _where(asked), top=asked.top)
+    matches = []
+    for entry in answer.entries:
+        which = urlencode({"scene": entry.scene, "object_id": entry.object_id, "tile": entry.tile})
+        picture = None if entry.thumbnail is None else f"/catalogue/picture?{which}"
+        matches.append(CatalogueMatch(**entry.json(), picture=picture))
     return CatalogueAnswer(
         query=query.text or "",
-        matches=[_match(entry) for entry in answer.entries],
+        matches=matches,
         **answer.json() | {"threshold": significant(answer.threshold)},
-        advice="" if answer.entries else "no match in any scene: try other words, or a lower threshold",
+        advice="" if matches else "no match in any scene: try other words, or a lower threshold",
     )
-
-
-def _match(entry: Entry) -> CatalogueMatch:
-    which = urlencode({"scene": entry.scene, "object_id": entry.object_id, "tile": entry.tile})
-    picture = None if entry.thumbnail is None else f"/catalogue/picture?{which}"
-    return CatalogueMatch(**entry.json(), picture=picture)
 
 
 def _where(asked: AskCatalogue) -> Conditions:

@@ -21,14 +21,16 @@ from .scene_folder import SceneFaultError, UnknownSceneError
 
 
 def png(pixels: Pixels) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG", compress_level=3)
-    return buffer.getvalue()
+    return _written(pixels, "PNG", compress_level=3)
 
 
 def jpeg(pixels: Pixels) -> bytes:
+    return _written(pixels, "JPEG", quality=90)
+
+
+def _written(pixels: Pixels, form: str, **options: int) -> bytes:
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "JPEG", quality=90)
+    Image.fromarray(pixels).save(buffer, form, **options)
     return buffer.getvalue()
 
 
@@ -99,13 +101,13 @@ def refusal(error: DrSplatError, message: str) -> Reply:
 
 def packed(reply: Reply) -> bytes:
     """Pack a reply for its way from the process that computed it: a line about it, and the body."""
-    about = {"media_type": reply.media_type, "status": reply.status, "field": reply.field}
-    return json.dumps(about).encode() + b"\n" + reply.body
+    body, *about = reply
+    return json.dumps(about).encode() + b"\n" + body
 
 
 def unpacked(message: bytes) -> Reply:
     about, _, body = message.partition(b"\n")
-    return Reply(body, **json.loads(about))
+    return Reply(body, *json.loads(about))
 
 
 def faults_of(errors: Sequence[Mapping[str, Any]]) -> str:

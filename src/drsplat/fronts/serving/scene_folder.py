@@ -3,11 +3,12 @@
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from ...errors import DrSplatError, InputError
 from ...field.labels import LabelFile
@@ -61,7 +62,6 @@ class Summary:
     fault: str = ""
 
 
-@dataclass(eq=False)
 class SceneFolder:
     """A folder that is a scene itself, or has one in each of some subfolders.
 
@@ -71,20 +71,16 @@ class SceneFolder:
     Raises: InputError: no such folder.
     """
 
-    folder: Path
-    sources: Sources = Sources()
-    most: int = 8
-    catalogue_path: Path | None = None
-    _open: "OrderedDict[str, tuple[Version, Scene]]" = field(default_factory=OrderedDict)
-    _encoders: dict[tuple[str, str], Encoder] = field(default_factory=dict)
-    _lock: Lock = field(default_factory=Lock)
-    _loading: Lock = field(default_factory=Lock)
-
-    def __post_init__(self) -> None:
-        if not self.folder.is_dir():
-            raise InputError(f"{self.folder}: there is no such folder")
-        self.folder = self.folder.resolve()
-        self.catalogue_path = None if self.catalogue_path is None else self.catalogue_path.resolve()
+    def __init__(
+        self, folder: Path, sources: Sources = Sources(), most: int = 8, catalogue_path: Path | None = None
+    ) -> None:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: there is no such folder")
+        self.folder, self.sources, self.most = folder.resolve(), sources, most
+        self.catalogue_path = None if catalogue_path is None else catalogue_path.resolve()
+        self._open: OrderedDict[str, tuple[Version, Scene]] = OrderedDict()
+        self._encoders: dict[tuple[str, str], Encoder] = {}
+        self._lock, self._loading = Lock(), Lock()
 
     @cached_property
     def roots(self) -> tuple[Path, ...]:
@@ -94,16 +90,21 @@ class SceneFolder:
         catalogue = () if self.catalogue_path is None else (self.catalogue_path,)
         return (self.folder, *catalogue, *(way.parent for one in files for way in (one, one.resolve())))
 
+    @property
+    def _given(self) -> dict[str, Any]:
+        """How scenes and catalogues are opened."""
+        given = self.sources
+        return {
+            "encoder": given.encoder, "vocabulary": given.vocabulary, "device": given.device, "threads": given.threads,
+            "load": self.load,
+        }  # fmt: skip
+
     @cached_property
     def catalogue(self) -> Catalogue:
         """Raises: InputError: there is none. FormatError: damaged. MissingExtraError."""
         if self.catalogue_path is None:
             raise InputError("there is no catalogue here")
-        given = self.sources
-        return Catalogue.open(
-            self.catalogue_path, encoder=given.encoder, vocabulary=given.vocabulary, device=given.device,
-            threads=given.threads, load=self.load,
-        )  # fmt: skip
+        return Catalogue.open(self.catalogue_path, **self._given)
 
     def folders(self) -> dict[str, Path]:
         """Name and folder of each scene, as they are now."""
@@ -115,28 +116,23 @@ class SceneFolder:
     def check_sources(self) -> None:
         """Check files for whoever starts a service: clients could not tell what is wrong with them.
 
-        Raises: InputError: no such vocabulary, or an encoder beside it. FormatError: a damaged one. MissingExtraError:
-        search device "cuda" without CuPy or a GPU.
+        Raises: InputError: no such vocabulary, an encoder beside it, or nothing in the catalogue. FormatError: one of
+        them is damaged. MissingExtraError: search device "cuda" without CuPy or a GPU.
         """
         if self.sources.search_device != "cpu":
             from ...kernels.cuda.devices import chosen_device
 
             chosen_device(self.sources.search_device)
-        if self.sources.vocabulary is None:
-            return
-        if self.sources.encoder is not None:
-            raise InputError("encoder=NAME and vocabulary=FILE both embed the words: drop one")
-        read_vocabulary(self.sources.vocabulary)
-
-    def check_catalogue(self) -> None:
-        """Open the catalogue. Raises: InputError: nothing was added yet. FormatError: damaged. MissingExtraError."""
+        if self.sources.vocabulary is not None:
+            if self.sources.encoder is not None:
+                raise InputError("encoder=NAME and vocabulary=FILE both embed the words: drop one")
+            read_vocabulary(self.sources.vocabulary)
         if self.catalogue_path is not None:
             _ = self.catalogue.encoder
 
     def checked(self) -> int:
         """Count the scenes, for whoever starts a service. Raises: InputError: none; as `check_sources`."""
         self.check_sources()
-        self.check_catalogue()
         number = len(self.folders())
         if not number:
             raise InputError(
@@ -146,15 +142,32 @@ class SceneFolder:
         return number
 
     def summaries(self) -> list[Summary]:
+        """Return what the manifest of each field says of its scene."""
         return [self._summary(name, folder) for name, folder in self.folders().items()]
+
+    def _summary(self, name: str, folder: Path) -> Summary:
+        try:
+            manifest = read_manifest(find_scene(folder).field)
+        except (DrSplatError, OSError) as error:
+            return Summary(name, fault=_text(without_paths(str(error), (folder.resolve(), *self.roots))))
+        encoder = manifest.get("encoder")
+        known = encoder.get("name") if isinstance(encoder, dict) else ""
+        counts = (manifest.get(key) for key in ("num_gaussians", "num_registered"))
+        every, registered = (one if type(one) is int and 0 <= one <= _MAX_GAUSSIANS else 0 for one in counts)
+        return Summary(name, every, registered, _text(str(known))[:200])
+
+    def only(self) -> str | None:
+        """Return the name of the only scene, None if there are more or none."""
+        names = list(self.folders())
+        return names[0] if len(names) == 1 else None
+
+    def files(self, name: str) -> SceneFiles:
+        """Find the files of a scene. Raises: UnknownSceneError. SceneFaultError: they are not a scene."""
+        return self._sound(name, find_scene)
 
     def scene(self, name: str) -> Scene:
         """Open, or the one that is open. Raises: UnknownSceneError. SceneFaultError: its files cannot be opened."""
-        return self._sound(name, lambda folder: self._known(name, folder))
-
-    def files(self, name: str) -> SceneFiles:
-        """Find the files of a scene. Raises: as `scene`."""
-        return self._sound(name, find_scene)
+        return self._sound(name, lambda folder: self._opened(name, find_scene(folder)))
 
     def _sound(self, name: str, read: Callable[[Path], T]) -> T:
         """Read something of a scene's folder."""
@@ -168,65 +181,28 @@ class SceneFolder:
             reason = without_paths(str(error), (folders[name].resolve(), *self.roots))
             raise SceneFaultError(f"scene {name!r} cannot be opened: {reason}") from error
 
-    def only(self) -> str | None:
-        """Return the name of the only scene, None if there are more or none."""
-        names = list(self.folders())
-        return names[0] if len(names) == 1 else None
-
-    def _known(self, name: str, folder: Path) -> Scene:
-        files = find_scene(folder)
+    def _opened(self, name: str, files: SceneFiles) -> Scene:
         # a version that changes when a file of a scene is replaced, cut short or written to
-        capture = [] if files.capture is None else [files.capture / name for name in CAMERA_FILES]
-        labels = LabelFile.beside(files.field).path
-        version = frozenset(_stats(files.field) | _stats(*files.scenes, *capture, labels))
+        capture = [] if files.capture is None else [files.capture / camera for camera in CAMERA_FILES]
+        version = _stats(files.field, *files.scenes, *capture, LabelFile.beside(files.field).path)
         with self._loading:
-            with self._lock:
-                if name in self._open and self._open[name][0] == version:
-                    self._open.move_to_end(name)
-                    return self._open[name][1]
-                self._open.pop(name, None)  # before another takes its room
-            scene = self._opened(files)
-            with self._lock:
-                self._open[name] = version, scene
-                while len(self._open) > self.most:
-                    self._open.popitem(last=False)
-        return scene
-
-    def _opened(self, files: SceneFiles) -> Scene:
-        given = self.sources
-        scene = open_scene(
-            files,
-            encoder=given.encoder,
-            vocabulary=given.vocabulary,
-            device=given.device,
-            search_device=given.search_device,
-            threads=given.threads,
-            load=self.load,
-        )
-        if scene.tiles is None:
-            scene.field.verify()  # damage is told now, as a fault of the scene, not in mid-answer
+            known, scene = self._open.pop(name, (None, None))
+            if scene is None or known != version:
+                scene = None  # before another takes its room
+                scene = open_scene(files, search_device=self.sources.search_device, **self._given)
+                if scene.tiles is None:
+                    scene.field.verify()  # damage is told now, as a fault of the scene, not in mid-answer
+            self._open[name] = version, scene
+            while len(self._open) > self.most:
+                self._open.popitem(last=False)
         return scene
 
     def load(self, name: str, device: str) -> Encoder:
         """Load an encoder, or return the one that is loaded."""
         with self._lock:
-            known = self._encoders.get((name, device))
-        if known is None:
-            loaded = load_encoder(name, device)
-            with self._lock:
-                known = self._encoders.setdefault((name, device), loaded)
-        return known
-
-    def _summary(self, name: str, folder: Path) -> Summary:
-        try:
-            manifest = read_manifest(find_scene(folder).field)
-        except (DrSplatError, OSError) as error:
-            roots = (folder.resolve(), *self.roots)
-            return Summary(name, fault=_text(without_paths(str(error), roots)))
-        encoder = manifest.get("encoder")
-        known = encoder.get("name") if isinstance(encoder, dict) else ""
-        every, registered = (manifest.get(key) for key in ("num_gaussians", "num_registered"))
-        return Summary(name, _count(every), _count(registered), _text(str(known))[:200])
+            if (name, device) not in self._encoders:
+                self._encoders[name, device] = load_encoder(name, device)
+            return self._encoders[name, device]
 
 
 def without_paths(message: str, roots: Sequence[Path]) -> str:
@@ -238,17 +214,15 @@ def without_paths(message: str, roots: Sequence[Path]) -> str:
     return message
 
 
-def _stats(*paths: Path) -> set[tuple[str, int, int, int, int]]:
+def _stats(*paths: Path) -> Version:
     """Return identity, size and times of files, and of those in folders to a depth of three (COLMAP's sparse/0)."""
     found = set()
     for top in paths:
         for path in (top, *(one for deep in ("*", "*/*", "*/*/*") for one in top.glob(deep))):
-            try:
+            with suppress(OSError):
                 now = path.stat()
-            except OSError:
-                continue
-            found.add((str(path), now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns))
-    return found
+                found.add((str(path), now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns))
+    return frozenset(found)
 
 
 def _has_field(folder: Path) -> bool:
@@ -258,10 +232,6 @@ def _has_field(folder: Path) -> bool:
         )
     except OSError:  # a folder that may not be read, or that has just gone
         return False
-
-
-def _count(value: object) -> int:
-    return value if type(value) is int and 0 <= value <= _MAX_GAUSSIANS else 0
 
 
 def _text(text: str) -> str:

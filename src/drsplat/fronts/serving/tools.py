@@ -6,8 +6,7 @@ import json
 import os
 import signal
 import socket
-from collections.abc import AsyncIterator, Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Sequence
 from typing import Annotated, Any, TypeVar
 
 import anyio
@@ -82,11 +81,14 @@ def error_for(fault: Exception) -> JSONRPCError | None:
     line = next((str(one["input"]) for one in faults if one["type"] == "json_invalid"), None)
     if line is None:
         # the fields that an answer has and a request lacks are missing in the whole message
-        whole = next((one["input"] for one in faults if one["type"] == "missing"), None)
-        return _invalid_request(_id_of(whole))
+        return _invalid_request(next((one["input"] for one in faults if one["type"] == "missing"), None))
     if not line.strip():
         return None
-    return _error(_id_in(line), PARSE_ERROR, f"expected one JSON-RPC message a line; {faults[0]['msg']}")
+    try:  # as Python's lenient reader finds it, which takes halves of surrogate pairs
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        message = None
+    return _error(message, PARSE_ERROR, f"expected one JSON-RPC message a line; {faults[0]['msg']}")
 
 
 def _lacks_an_id(message: Any) -> bool:
@@ -97,36 +99,37 @@ def _lacks_an_id(message: Any) -> bool:
     return isinstance(message, JSONRPCNotification) and not message.method.startswith(NOTIFICATIONS)
 
 
-def _invalid_request(request: str | int | None) -> JSONRPCError:
+def _invalid_request(message: object) -> JSONRPCError:
     expected = '{"jsonrpc": "2.0", "id": ..., "method": ..., "params": {...}}, the id a text or a whole number'
-    return _error(request, INVALID_REQUEST, f"expected a JSON-RPC message: {expected}")
+    return _error(message, INVALID_REQUEST, f"expected a JSON-RPC message: {expected}")
 
 
-def _error(request: str | int | None, code: int, message: str) -> JSONRPCError:
-    return JSONRPCError(jsonrpc="2.0", id=request, error=ErrorData(code=code, message=message))
-
-
-def _id_in(line: str) -> str | int | None:
-    """Return the id of a request as Python's lenient reader finds it, or None. It takes halves of surrogate pairs."""
-    try:
-        return _id_of(json.loads(line))
-    except (ValueError, RecursionError):
-        return None
-
-
-def _id_of(message: object) -> str | int | None:
-    """Return the id of a message, or None where there is none that can be written."""
-    found = message.get("id") if isinstance(message, dict) else None
-    if isinstance(found, str):
-        return found if found.isprintable() else None  # halves of surrogate pairs cannot be written
-    return found if type(found) is int else None
+def _error(message: object, code: int, said: str) -> JSONRPCError:
+    """Answer a message under its id, or under none where that cannot be written, as halves of surrogate pairs."""
+    known = message.get("id") if isinstance(message, dict) else None
+    if not (known.isprintable() if isinstance(known, str) else type(known) is int):
+        known = None
+    return JSONRPCError(jsonrpc="2.0", id=known, error=ErrorData(code=code, message=said))
 
 
 class _Server(MCPServer):  # type: ignore[type-arg]
-    """Whose refusals are ours: what was expected where, without the name of a library and its pages.
+    """Server whose tools are computed by a workbench, no longer than they may take, and whose refusals are ours.
 
-    Arguments that a tool does not know are refused, and answers are JSON without the spaces that cost tokens.
+    They say what was expected where, without the name of a library and its pages. Arguments that a tool does not know
+    are refused, and answers are JSON without the spaces that cost tokens.
     """
+
+    def __init__(self, scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> None:
+        title = "drsplat: scenes that answer words"
+        super().__init__(
+            "drsplat", title=title, instructions=INSTRUCTIONS, version=__version__, log_level="WARNING"
+        )  # fmt: skip
+        self._scene_folder, self._bench, self._limits = scene_folder, bench, limits
+        self.tool(title="List scenes", annotations=READ_ONLY)(self.list_scenes)
+        for name, tool in TOOLS.items():
+            self._add_tool(name, tool)
+        if scene_folder.catalogue_path is not None:
+            self.tool(title="Search all scenes", annotations=READ_ONLY)(self.search_all_scenes)
 
     async def run_stdio_async(self) -> None:
         """Speak on stdin and stdout; malformed lines are answered too."""
@@ -143,10 +146,6 @@ class _Server(MCPServer):  # type: ignore[type-arg]
             arguments = without_nulls(arguments, known.keys() - tool.input_schema.get("required", ()))
         try:
             result = await super().call_tool(name, arguments, context)
-            if isinstance(result, CallToolResult) and result.structured_content is not None:
-                text = json.dumps(result.structured_content, separators=(",", ":"))
-                result.content[0] = TextContent(type="text", text=text)
-            return result
         except ToolError as error:
             cause = error.__cause__
             if isinstance(cause, ValidationError):
@@ -154,98 +153,32 @@ class _Server(MCPServer):  # type: ignore[type-arg]
             if isinstance(cause, ToolError):
                 raise cause from error
             raise
+        if isinstance(result, CallToolResult) and result.structured_content is not None:
+            text = json.dumps(result.structured_content, separators=(",", ":"))
+            result.content[0] = TextContent(type="text", text=text)
+        return result
 
-
-@dataclass(frozen=True, eq=False)
-class _Asking:
-    """How tools are computed: in a process of the workbench, and no longer than it may take."""
-
-    scene_folder: SceneFolder
-    bench: Workbench
-    limits: Limits
-
-    async def tool_answer(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
-        """Return what a tool of `Conversation` answers about a scene; "" is the only one."""
-        name = scene or self.scene_folder.only()
-        if not name:
-            known = ", ".join(map(repr, list(self.scene_folder.folders())[:MAX_MATCHES])) or "none"
-            raise ToolError(f"name a scene; there are: {known}")
-        asked = {"tool": tool, "name": name, "arguments": arguments}
-        return model.model_validate_json(await self.answer(Job("tool", name, asked)))
-
-    async def answer(self, job: Job) -> bytes:
+    async def _answer(self, job: Job, model: type[T]) -> T:
         """Return what the workbench answers. Raises: ToolError: why it does not."""
         try:
-            async with asyncio.timeout(self.limits.seconds):
-                reply = await self.bench.run(job)
+            async with asyncio.timeout(self._limits.seconds):
+                reply = await self._bench.run(job)
         except TimeoutError:
-            raise ToolError(self.limits.too_slow) from None
+            raise ToolError(self._limits.too_slow) from None
         except DrSplatError as error:
             raise ToolError(str(error)) from error
         if reply.status != 200:
             raise ToolError(json.loads(reply.body)["error"])
-        return reply.body
+        return model.model_validate_json(reply.body)
 
-
-def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> MCPServer:
-    """Make an MCP server over the scenes of a folder; run it with `run("stdio")` or as streamable HTTP.
-
-    bench: of the same folder; the caller closes it.
-    """
-    server = _Server(
-        "drsplat",
-        title="drsplat: scenes that answer words",
-        instructions=INSTRUCTIONS,
-        version=__version__,
-        log_level="WARNING",
-    )
-    asking = _Asking(scene_folder, bench, limits)
-    _add_scenes(server, asking)
-    for name, tool in TOOLS.items():
-        _add_tool(server, asking, name, tool)
-    if scene_folder.catalogue_path is not None:
-        _add_catalogue(server, asking)
-    return server
-
-
-def _add_scenes(server: MCPServer, asking: _Asking) -> None:
-    @server.tool(title="List scenes", annotations=READ_ONLY)
-    async def list_scenes() -> SceneList:
+    async def list_scenes(self) -> SceneList:
         """List the scenes that can be searched, and how large they are."""
-        listed = SceneList.model_validate_json(await asking.answer(Job("list")))
+        listed = await self._answer(Job("list"), SceneList)
         advice = "" if listed.scenes else "there is no scene: ask the user to add a folder with a field"
         return listed.model_copy(update={"advice": advice})
 
-
-def _add_tool(server: MCPServer, asking: _Asking, name: str, tool: ToolEntry) -> None:
-    """Offer a tool of `Conversation` with its own arguments, the fields of a query that it takes, and a scene."""
-    body = inspect.signature(tool.method).return_annotation
-
-    async def answer(scene: str = "", **arguments: Any) -> Any:
-        found = await asking.tool_answer(body, name, scene, **arguments)
-        return _with_picture(found) if isinstance(found, RenderedPicture) else found
-
-    own = [one for one in inspect.signature(tool.method).parameters.values() if one.name not in ("self", "cut")]
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    cut = [
-        inspect.Parameter(one.name, keyword, default=default_of(one), annotation=annotation(one)) for one in tool.cut
-    ]
-    where = inspect.Parameter("scene", keyword, default="", annotation=SceneName)
-    returned = Annotated[CallToolResult, RenderedView] if body is RenderedPicture else body
-    parameters = [*(one.replace(kind=keyword) for one in own), *cut, where]
-    answer.__signature__ = inspect.Signature(parameters, return_annotation=returned)  # type: ignore[attr-defined]
-    server.add_tool(answer, name, title=tool.title, description=tool.method.__doc__, annotations=READ_ONLY)
-
-
-def _with_picture(found: RenderedPicture) -> CallToolResult:
-    picture = ImageContent(type="image", data=found.png, mime_type="image/png")
-    content: Any = [TextContent(type="text", text=found.view.model_dump_json()), picture]
-    return CallToolResult(content=content, structured_content=found.view.model_dump())
-
-
-def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
-    @server.tool(title="Search all scenes", annotations=READ_ONLY)
     async def search_all_scenes(
+        self,
         text: Text,
         top: Annotated[int, Field(ge=1, le=MAX_MATCHES, description="most matches to list")] = 5,
         scenes: Annotated[
@@ -254,7 +187,45 @@ def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
     ) -> CatalogueAnswer:
         """Search all that was scanned: the best objects of a catalogue, with scene, box and photo."""
         asked = {"text": text, "top": top, "scenes": scenes or []}
-        return CatalogueAnswer.model_validate_json(await asking.answer(Job("catalogue-ask", asked=asked)))
+        return await self._answer(Job("catalogue-ask", asked=asked), CatalogueAnswer)
+
+    def _add_tool(self, name: str, tool: ToolEntry) -> None:
+        """Offer a tool of `Conversation` with its own arguments, the fields of a query that it takes, and a scene."""
+        method = inspect.signature(tool.method)
+        body = method.return_annotation
+
+        async def answer(scene: str = "", **arguments: Any) -> Any:
+            name_of_scene = scene or self._scene_folder.only()
+            if not name_of_scene:
+                known = ", ".join(map(repr, list(self._scene_folder.folders())[:MAX_MATCHES])) or "none"
+                raise ToolError(f"name a scene; there are: {known}")
+            asked = {"tool": name, "name": name_of_scene, "arguments": arguments}
+            found = await self._answer(Job("tool", name_of_scene, asked), body)
+            if not isinstance(found, RenderedPicture):
+                return found
+            picture = ImageContent(type="image", data=found.png, mime_type="image/png")
+            content: Any = [TextContent(type="text", text=found.view.model_dump_json()), picture]
+            return CallToolResult(content=content, structured_content=found.view.model_dump())
+
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        own = [one.replace(kind=keyword) for one in method.parameters.values() if one.name not in ("self", "cut")]
+        cut = [
+            inspect.Parameter(one.name, keyword, default=default_of(one), annotation=annotation(one))
+            for one in tool.cut
+        ]
+        where = inspect.Parameter("scene", keyword, default="", annotation=SceneName)
+        returned = Annotated[CallToolResult, RenderedView] if body is RenderedPicture else body
+        signature = inspect.Signature([*own, *cut, where], return_annotation=returned)
+        answer.__signature__ = signature  # type: ignore[attr-defined]
+        self.add_tool(answer, name, title=tool.title, description=tool.method.__doc__, annotations=READ_ONLY)
+
+
+def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> MCPServer:
+    """Make an MCP server over the scenes of a folder; run it with `run("stdio")` or as streamable HTTP.
+
+    bench: of the same folder; the caller closes it.
+    """
+    return _Server(scene_folder, bench, limits)
 
 
 def over_stdio(server: MCPServer) -> None:
@@ -263,8 +234,8 @@ def over_stdio(server: MCPServer) -> None:
     The SDK reads stdin in a thread that nothing can interrupt, so Ctrl-C would wait for the next line for ever:
     the process ends at once, which costs nothing, for it only reads.
     """
-    for number, code in ((signal.SIGINT, INTERRUPTED_EXIT_CODE), (signal.SIGTERM, 0)):
-        signal.signal(number, _leave(code))
+    signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED_EXIT_CODE))
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
     anyio.run(server.run_stdio_async)
 
 
@@ -272,10 +243,3 @@ def over_http(server: MCPServer, listening: socket.socket, key: str | None, host
     """Speak streamable HTTP at /mcp of a socket until SIGINT or SIGTERM. key, hosts: see `DoorKeeper`."""
     app = DoorKeeper(server.streamable_http_app(host=listening.getsockname()[0]), key, hosts)
     run(app, listening, log_level="warning", timeout_graceful_shutdown=5)
-
-
-def _leave(code: int) -> Callable[[int, Any], None]:
-    def leave(_: int, __: Any) -> None:
-        os._exit(code)
-
-    return leave

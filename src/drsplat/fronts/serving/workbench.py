@@ -132,15 +132,14 @@ class Workbench:
 
     def _counted(self, job: Job) -> Reply:
         self._metrics.waiting.dec()
-        self._metrics.computing.inc()
         worker = self._idle.get()
         try:
-            reply = worker.answer(job)
-            job.then(reply)
-            return reply
+            with self._metrics.computing.track_inprogress():
+                reply = worker.answer(job)
+                job.then(reply)
+                return reply
         finally:
             self._idle.put(worker)
-            self._metrics.computing.dec()
 
 
 class WorkerProcess:
@@ -155,7 +154,12 @@ class WorkerProcess:
     def answer(self, job: Job) -> Reply:
         """Open the job's scene if need be and compute its answer. Raises: LostError: the process ended."""
         if job.opens:
-            opened = self._open(job)
+            try:
+                opened = self._open(job)
+            except LostError:  # it has ended while it was idle, and another one is asked
+                if job.ended:
+                    raise
+                opened = self._open(job)
             if opened.status != 200:
                 return opened
         return self._reply(job, job.act, job.asked)
@@ -180,22 +184,12 @@ class WorkerProcess:
             self._end()
 
     def _open(self, job: Job) -> Reply:
-        """Open a scene; the first time may take long, and only so can it be asked at all.
-
-        A process that has ended while it was idle is found out here, and another one asked.
-        """
-        for last in (False, True):
-            first = job.scene not in self._opened
-            try:
-                reply = self._reply(job, "open", {"for": job.act}, seconds=OPENING_TIMEOUT_S if first else None)
-            except LostError:
-                if last or job.ended:
-                    raise
-                continue
-            if reply.status == 200:
-                self._opened.add(job.scene)
-            return reply
-        raise AssertionError("not reached")
+        """Open a scene; the first time may take long, and only so can it be asked at all."""
+        seconds = None if job.scene in self._opened else OPENING_TIMEOUT_S
+        reply = self._reply(job, "open", {"for": job.act}, seconds)
+        if reply.status == 200:
+            self._opened.add(job.scene)
+        return reply
 
     def _reply(self, job: Job, act: str, asked: Mapping[str, Any], seconds: float | None = None) -> Reply:
         """Return the answer of the process. seconds: how long it may take; None: until the job ends."""
@@ -270,7 +264,7 @@ class Adding:
     def notice(self, scene: str) -> None:
         """Add the views of a scene soon, as another one has come."""
         self._count(scene, self._counts.get(scene, 0) + 1)
-        self._metrics.view_taken()
+        self._metrics.views.labels("taken").inc()
         self._notice([scene])
 
     def working(self, scene: str) -> list[str]:
@@ -319,16 +313,13 @@ class Adding:
                         self._add_alone(scene, names)
                     if self._waiting(scene, files)[:1] == names[:1]:
                         raise DrSplatError("views of this scene are not added: the log of the service says why")
+            except DrSplatError as error:
+                if not self._closed:
+                    self._problems[scene] = without_paths(str(error), self._scene_folder.roots)
             except Exception as error:
                 if not self._closed:
-                    self._problems[scene] = self._reason(scene, error)
-
-    def _reason(self, scene: str, error: Exception) -> str:
-        """Return why views go on waiting, without folders of this machine; log a fault of ours."""
-        if isinstance(error, DrSplatError):
-            return without_paths(str(error), self._scene_folder.roots)
-        _log.error("views of %r were not added", scene, exc_info=error)
-        return BUG
+                    _log.error("views of %r were not added", scene, exc_info=error)
+                    self._problems[scene] = BUG
 
     def _waiting(self, scene: str, files: SceneFiles) -> list[str]:
         names = [view.name for view in LiveViews(capture_of(files)).every("waiting")]
@@ -364,9 +355,6 @@ class Adding:
     def _ask(self, job: Job) -> Reply:
         """Ask the process to do something. Raises: LostError: it ended. DrSplatError: it could not."""
         reply = self._worker.answer(job)
-        if reply.status == 200:
-            return reply
-        reason = "this cannot be added"
-        with suppress(ValueError, KeyError):
-            reason = json.loads(reply.body)["error"]
-        raise DrSplatError(reason)
+        if reply.status != 200:
+            raise DrSplatError(json.loads(reply.body)["error"])
+        return reply

@@ -17,7 +17,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import BaseModel
 
 from ...authoring.editing.resolving import object_rows
@@ -28,26 +27,15 @@ from ...base.system import end_with
 from ...errors import DrSplatError, FormatError, InputError
 from ...formats.gaussian_ply import write_gaussians
 from ...query import Match, Query, Scene
-from ...query.documents import answer_document, rounded, segmentation_document
+from ...query.documents import answer_document, segmentation_document
 from ...query.objects import match_of, objects_of
 from ...query.sheets import object_picture
 from ...query.suggesting import missed_text, words_instead
 from . import models, query_fields
-from .conversation import tool_answer
+from .conversation import tool_answer, when_told, words_of
 from .guards import Limits
 from .live import ACTS, Adder, live_reply
-from .models import (
-    SceneList,
-    SceneSummary,
-    decimals_of,
-    listed_objects,
-    matches_of,
-    measured,
-    object_list,
-    significant,
-    span_of,
-    tracked,
-)
+from .models import SceneList, SceneSummary, listed_objects, matches_of, measured, object_list, significant
 from .query_fields import Export, Request, asks_something, catalogue_reply, cut_of, query_of, values_of
 from .replies import BUG, GLB, JPEG, PLY, PNG, Reply, jpeg, packed, png, problem, refusal
 from .scene_folder import SceneFaultError, SceneFolder, Sources, without_paths
@@ -59,7 +47,7 @@ WRITING_S, COMPLETING_S, EDITING_S = 6e-6, 25e-6, 0.3e-6
 
 
 def exported(scene: Scene, asked: Export, limits: Limits) -> Reply:
-    """Return a scene as a file.
+    """Export the scene for other programs: GLB with named objects, PLY or SPZ.
 
     Raises: InputError: options that do not go together, a scene that is too large to send or takes too long; as
     `labelled`.
@@ -79,9 +67,8 @@ def exported(scene: Scene, asked: Export, limits: Limits) -> Reply:
             "sent: `drsplat export` writes it where the scene is"
         )
     _refuse_slow(scene, asked, limits)
-    only: Only = "matches" if asked.only else None
-    if asked.object is not None:
-        only = object_rows(scene, asked.object)
+    matches: Only = "matches" if asked.only else None
+    only = matches if asked.object is None else object_rows(scene, asked.object)
     carried = labelled(scene, query, only=only, time=asked.time, edits=asked.edits, embeddings=asked.embeddings)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"scene.{asked.format}"
@@ -106,55 +93,39 @@ OBJECT_SIZE_PIXELS = (640, 480)
 _log = logging.getLogger(__name__)
 
 
-class Answering(NamedTuple):
-    """How a request is read and answered. words: whether its answers need who embeds words. media_type: of bytes."""
-
-    asked: type[Request]
-    answer: Callable[[Scene, Any, Limits], BaseModel | bytes | Reply]
-    words: bool = True
-    media_type: str = PNG
-
-
-def details(scene: Scene, asked: query_fields.Details, _: Limits) -> models.SceneDetails:
-    low, high = scene.box
-    digits = decimals_of(scene)
+def details(scene: Scene, asked: Document, _: Limits) -> models.SceneDetails:
     return models.SceneDetails(
-        name=asked.name,
+        **models.frame_document(scene),
+        name=asked["name"],
         num_gaussians=len(scene.rows),
         num_registered=len(scene.field),
         encoder=scene.field.encoder.name,
-        fault="",
         views=[view.name for view in scene.views],
-        low=rounded(low, digits),
-        high=rounded(high, digits),
-        up=None if scene.up is None else rounded(scene.up, 4),
-        times=span_of(scene),
         scene=scene.rows.fingerprint,
-        field=scene.field.fingerprint,
     )
 
 
-def photo(scene: Scene, asked: query_fields.Photo, _: Limits) -> bytes:
+def photo(scene: Scene, asked: Document, _: Limits) -> bytes:
     """Return a photo as PNG. Raises: InputError: no such view, or it has no photo."""
-    chosen = scene.view(asked.view)
+    chosen = scene.view(asked["view"])
     if chosen.image_path is None:
         raise InputError(f"view '{chosen.name}' has no photo here: request a picture")
-    return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
+    return png(scene.picture(chosen, photo=True, max_side=asked["max_side"]))
 
 
-def objects(scene: Scene, asked: query_fields.Objects, _: Limits) -> models.ObjectList:
-    shown, unsure = listed_objects(scene, asked.all)
+def objects(scene: Scene, asked: Document, _: Limits) -> models.ObjectList:
+    shown, unsure = listed_objects(scene, asked["all"])
     if not scene.objects:
         return object_list(scene, [], "photos agree on nothing: more of them, or larger masks, may help")
     more = f"{unsure} more that photos agree less on: all=true lists them" if unsure else ""
     return object_list(scene, shown, ". ".join(filter(None, (more, scene.doubt))))
 
 
-def object_photo(scene: Scene, asked: query_fields.OneObject, _: Limits) -> bytes:
+def object_photo(scene: Scene, asked: Document, _: Limits) -> bytes:
     return jpeg(object_picture(scene, _numbered(scene, asked), size=OBJECT_SIZE_PIXELS))
 
 
-def object_ply(scene: Scene, asked: query_fields.OneObject, _: Limits) -> bytes:
+def object_ply(scene: Scene, asked: Document, _: Limits) -> bytes:
     part = scene.rows.subset(_numbered(scene, asked).gaussian_ids)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.ply"
@@ -162,11 +133,12 @@ def object_ply(scene: Scene, asked: query_fields.OneObject, _: Limits) -> bytes:
         return path.read_bytes()
 
 
-def _numbered(scene: Scene, asked: query_fields.OneObject) -> Match:
-    return match_of(scene.field, objects_of(scene.field).thing(asked.number))
+def _numbered(scene: Scene, asked: Document) -> Match:
+    return match_of(scene.field, objects_of(scene.field).thing(asked["number"]))
 
 
 def selected(scene: Scene, asked: query_fields.Select, limits: Limits) -> models.Selected:
+    """Select the Gaussians of a text, vector, image, point or click."""
     answer = scene.ask(query_of(asked, limits))
     return models.Selected(
         measured=measured(answer),
@@ -177,15 +149,15 @@ def selected(scene: Scene, asked: query_fields.Select, limits: Limits) -> models
 
 
 def located(scene: Scene, asked: query_fields.Locate, limits: Limits) -> models.Located:
+    """Locate the matches of a query, best first: centre, oriented box, supporting photos."""
     query = query_of(asked, limits)
     answer = scene.ask(query)
     found = scene.locate(answer, min_gaussians=asked.min_gaussians, box=asked.box)
-    listed = found[: asked.top]
     return models.Located(
         query=query.text or "",
         count=sum(match.sure for match in found),
         num_matches=len(found),
-        matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(scene, listed),
+        matches=matches_of(scene, found[: asked.top], asked.box if asked.tracks else None),
         advice="" if found else f"no match: {missed_text(answer, words_instead(scene, answer)) or 'try other words'}",
         measured=measured(answer),
         field=scene.field.fingerprint,
@@ -193,11 +165,13 @@ def located(scene: Scene, asked: query_fields.Locate, limits: Limits) -> models.
 
 
 def when(scene: Scene, asked: query_fields.When, _: Limits) -> models.When:
+    """Find the spans of time in which one match stands in a relation to another."""
     one, other = (Query(text, **values_of(vars(asked))) for text in (asked.one, asked.other))
-    return models.when_told(scene, one, asked.relation, other, asked.view)
+    return when_told(scene, one, asked.relation, other, asked.view)
 
 
 def segmented(scene: Scene, asked: query_fields.Segment, _: Limits) -> models.Segmented:
+    """Give each Gaussian the best of some classes."""
     found = scene.segment(asked.classes, cut_of(asked))
     document = segmentation_document(found)
     for one in document["classes"]:
@@ -207,53 +181,63 @@ def segmented(scene: Scene, asked: query_fields.Segment, _: Limits) -> models.Se
 
 
 def named(scene: Scene, asked: query_fields.WhatIs, _: Limits) -> models.Words:
-    words = scene.what_is(query_fields.place(asked), asked.names)
-    best = [models.Word(name=word.text, score=round(word.score, 4)) for word in words]
-    return models.Words(words=best, field=scene.field.fingerprint)
+    """Name what is at a point or a pixel, best words first."""
+    words = words_of(scene.what_is(query_fields.place(asked), asked.names))
+    return models.Words(words=words, field=scene.field.fingerprint)
 
 
 def picture(scene: Scene, asked: query_fields.Picture, limits: Limits) -> bytes:
-    shown = None
-    if asks_something(asked):
-        found = scene.locate(query_of(asked, limits))
-        shown = np.concatenate([match.gaussian_ids for match in found] or [np.empty(0, np.int64)])
+    """Render a picture as PNG, optionally with the matches of a query kept in colour."""
+    shown = models.ids_of(scene.locate(query_of(asked, limits))) if asks_something(asked) else None
     nothing = shown is not None and not len(shown)
     view = asked.view or (scene.best_view() if nothing else None)
     return png(scene.picture(view, shown, photo=asked.photo, max_side=asked.max_side))
 
 
+class Answering(NamedTuple):
+    """Way to an answer.
+
+    asked: the body of its route, which the function's first line describes; None where there is no body. words: whether
+    it needs who embeds words. media: of answers that are bytes.
+    """
+
+    answer: Callable[[Scene, Any, Limits], BaseModel | bytes | Reply]
+    asked: type[Request] | None = None
+    words: bool = True
+    media: tuple[str, ...] = ()
+
+
 ANSWERS: Mapping[str, Answering] = {
-    "details": Answering(query_fields.Details, details, words=False),
-    "photo": Answering(query_fields.Photo, photo, words=False),
-    "objects": Answering(query_fields.Objects, objects),
-    "object-picture": Answering(query_fields.OneObject, object_photo, words=False, media_type=JPEG),
-    "object-ply": Answering(query_fields.OneObject, object_ply, words=False, media_type=PLY),
-    "select": Answering(query_fields.Select, selected),
-    "locate": Answering(query_fields.Locate, located),
-    "when": Answering(query_fields.When, when),
-    "segment": Answering(query_fields.Segment, segmented),
-    "what-is": Answering(query_fields.WhatIs, named),
-    "picture": Answering(query_fields.Picture, picture),
-    "export": Answering(query_fields.Export, exported),
-    "tool": Answering(query_fields.Tool, tool_answer),
+    "details": Answering(details, words=False),
+    "photo": Answering(photo, words=False, media=(PNG,)),
+    "objects": Answering(objects),
+    "object-picture": Answering(object_photo, words=False, media=(JPEG,)),
+    "object-ply": Answering(object_ply, words=False, media=(PLY,)),
+    "select": Answering(selected, query_fields.Select),
+    "locate": Answering(located, query_fields.Locate),
+    "when": Answering(when, query_fields.When),
+    "segment": Answering(segmented, query_fields.Segment),
+    "what-is": Answering(named, query_fields.WhatIs),
+    "picture": Answering(picture, query_fields.Picture, media=(PNG,)),
+    "export": Answering(exported, query_fields.Export, media=(GLB, PLY)),
+    "tool": Answering(tool_answer),
 }
 
 
-def answered(scene: Scene, what: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
+def answered(scene: Scene, what: str, asked: Document, limits: Limits) -> Reply:
     """Return the reply to one of `ANSWERS`. Raises: DrSplatError: the question does not fit the scene."""
-    way = ANSWERS[what]
-    answer = way.answer(scene, way.asked(**asked), limits)
-    field = scene.field.fingerprint
+    way, field = ANSWERS[what], scene.field.fingerprint
+    answer = way.answer(scene, asked if way.asked is None else way.asked(**asked), limits)
     if isinstance(answer, Reply):
         return answer._replace(field=field)
     if isinstance(answer, bytes):
-        return Reply(answer, way.media_type, field=field)
+        return Reply(answer, way.media[0], field=field)
     return Reply(answer.model_dump_json().encode(), field=field)
 
 
 @dataclass(frozen=True)
 class Workplace:
-    """Settings that a worker starts with."""
+    """Settings that a worker starts with: those of its scenes, bounds, and a catalogue's folder, None for none."""
 
     folder: str
     sources: Sources = field(default_factory=Sources)
@@ -261,12 +245,17 @@ class Workplace:
     catalogue: str | None = None
 
     def to_json(self) -> str:
-        return json.dumps(asdict(self))
+        return json.dumps([self.folder, asdict(self.sources), asdict(self.limits), self.catalogue])
 
     @classmethod
     def from_json(cls, text: str | bytes) -> "Workplace":
-        given = json.loads(text)
-        return cls(given["folder"], Sources(**given["sources"]), Limits(**given["limits"]), given["catalogue"])
+        folder, sources, limits, catalogue = json.loads(text)
+        return cls(folder, Sources(**sources), Limits(**limits), catalogue)
+
+    def scene_folder(self) -> SceneFolder:
+        """Return the scenes of the folder. Raises: InputError: there is no such folder."""
+        catalogue = None if self.catalogue is None else Path(self.catalogue)
+        return SceneFolder(Path(self.folder), self.sources, catalogue_path=catalogue)
 
 
 def main(descriptor: int, parent: int) -> None:
@@ -276,8 +265,7 @@ def main(descriptor: int, parent: int) -> None:
     link = Connection(descriptor)
     with suppress(EOFError, OSError):
         place = Workplace.from_json(link.recv_bytes())
-        catalogue = None if place.catalogue is None else Path(place.catalogue)
-        scene_folder = SceneFolder(Path(place.folder), place.sources, catalogue_path=catalogue)
+        scene_folder = place.scene_folder()
         adder = Adder(scene_folder)
         while True:
             asked = json.loads(link.recv_bytes())
@@ -295,6 +283,7 @@ def safe_reply_to(scene_folder: SceneFolder, place: Workplace, **question: Any) 
 
 def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: Document, adder: Adder) -> Reply:
     """Answer an act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, of views or a catalogue."""
+    opened: Scene | None = None
     try:
         if act == "list":
             scenes = [SceneSummary(**vars(one)) for one in scene_folder.summaries()]
@@ -309,23 +298,16 @@ def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, 
             return live_reply(scene_folder, adder, act, scene, asked, place.limits)
         opened = scene_folder.scene(scene)
         if act != "open":
-            return _answered(opened, scene, act, asked, place.limits)
+            return answered(opened, act, asked, place.limits)
         if asked["for"] in ANSWERS and ANSWERS[asked["for"]].words:
             with suppress(DrSplatError):  # told when words are asked for
                 opened.encoder  # noqa: B018
         return Reply(b"")
     except DrSplatError as error:
+        tiles = None if opened is None else opened.tiles
+        if tiles and isinstance(error, FormatError) and str(error).startswith(str(tiles.path.parent)):
+            error = SceneFaultError(f"scene {scene!r} cannot be read: {error}")  # a tile is read when it is needed
         return refusal(error, without_paths(str(error), scene_folder.roots))
-
-
-def _answered(opened: Scene, name: str, act: str, asked: Document, limits: Limits) -> Reply:
-    """Answer an act about a scene. Raises: SceneFaultError: a tile, which is read when it is needed, is damaged."""
-    try:
-        return answered(opened, act, asked, limits)
-    except FormatError as error:
-        if opened.tiles is None or not str(error).startswith(str(opened.tiles.path.parent)):
-            raise
-        raise SceneFaultError(f"scene {name!r} cannot be read: {error}") from error
 
 
 if __name__ == "__main__":

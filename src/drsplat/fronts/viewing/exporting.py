@@ -118,14 +118,13 @@ def page_of(
         "annotations": [stage.annotation_document(one) for one in session.edits.annotations],
         "answers": [answer.document for answer in answers],
     }  # fmt: skip
-    target = stage.first_look[1]
-    best = next((answer for answer in answers if answer.matches), None)
+    best, target = next((answer for answer in answers if answer.matches), None), stage.first_look[1]
     if best is not None:
         first, target = best.document["matches"][0], best.matches[0].center
         header |= {"eye": first["eye"], "target": first["center"]}
     header["film"] = stage.film_document(film, target)
-    part = session.edits.part(shown.ids)[0]
-    return Page(header, rows, part, shown, answers, times, search, session.edits.listed.done)
+    edits = session.edits
+    return Page(header, rows, edits.part(shown.ids)[0], shown, answers, times, search, edits.listed.done)
 
 
 def _answer(stage: Stage, text: str, times: PageTimes | None, rows: Arrays) -> PageAnswer:
