@@ -12,7 +12,6 @@ Source: OGC 22-025r4, "3D Tiles Specification 1.1"; KHR_gaussian_splatting, KHR_
 (draft), EXT_mesh_features, EXT_structural_metadata.
 """
 
-import pickle
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -37,6 +36,7 @@ from .gltf import COLOR, COLOR_SPACE, FEATURE_ID, FEATURES, FLOAT, HARMONICS, KE
 from .json_files import write_json
 from .replacing import replacing
 from .spz_writing import TO_RUB, spz_bytes
+from .tensors import read_tensors, write_tensors
 from .tiles import Leaf, Tile, Tiles, leaves_of
 from .usd_writing import extent_of
 
@@ -45,6 +45,7 @@ KEPT = {"kernel": KERNEL, "colorSpace": COLOR_SPACE, "sortingMethod": "cameraDis
 
 TILESET = "tileset.json"
 LEAF_ROWS = 1 << 16
+ARRAYS = ("means", "quats", "scales", "opacities", "sh")
 CHILDREN = 4  # of a tile
 ERROR_QUANTILE = 0.95  # of how far merging moves the Gaussians: a tile's geometric error
 OBJECT = "object_of"  # the column with which numbers of objects go through merging
@@ -137,7 +138,7 @@ class _Writer:
             size *= CHILDREN
         step = max(1, size if len(leaves) > size else size // CHILDREN)
         children = [self.tree(leaves[begin : begin + step]) for begin in range(0, len(leaves), step)]
-        everything = concatenated([pickle.loads(child.waiting.read_bytes()) for child in children])
+        everything = concatenated([_read_aside(child.waiting) for child in children])
         for child in children:
             child.waiting.unlink()
         most = max(child.num_gaussians for child in children)
@@ -175,9 +176,22 @@ class _Writer:
         if children:
             tile |= {"refine": "REPLACE", "children": [child.tile for child in children]}
         waiting = self.waiting / name
-        with waiting.open("wb") as file:
-            pickle.dump(gaussians, file)
+        _write_aside(waiting, gaussians)
         return _Node(tile, waiting, len(gaussians), error, low, high)
+
+
+def _write_aside(path: Path, gaussians: Gaussians) -> None:
+    """Write Gaussians as they are, to be read by `_read_aside`."""
+    arrays = {name: getattr(gaussians, name) for name in ARRAYS} | dict(gaussians.extra)
+    write_tensors(path, arrays | {"origin": gaussians.origin, "antialiased": np.array(gaussians.antialiased)})
+
+
+def _read_aside(path: Path) -> Gaussians:
+    """Return what `_write_aside` wrote."""
+    arrays, _ = read_tensors(path)
+    means, quats, scales, opacities, sh = (arrays[name] for name in ARRAYS)
+    objects = {OBJECT: arrays[OBJECT]} if OBJECT in arrays else {}
+    return Gaussians(means, quats, scales, opacities, sh, objects, arrays["origin"], bool(arrays["antialiased"]))
 
 
 def _tileset(root: _Node, transform: Matrix4) -> Document:
