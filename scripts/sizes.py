@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "drsplat"
-CEILING = 535_000  # tokens of src/drsplat: what it had when the ceiling was set, and room for one large change
+CEILING = 500_000  # tokens of src/drsplat: what it had when the ceiling was set, and room for one large change
 AROUND = ("tests", "benchmarks", "world", "scripts")
 SHORT = 60  # lines
 LAYOUT = {
