@@ -245,10 +245,10 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         with open_file(path) as file, Image.open(file, formats=PHOTO_FORMATS) as photo:
             yield photo
-    except (FormatError, InputError) as error:
-        raise FormatError(placed(path, error)) from None
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such photo") from None
+    except (FormatError, InputError) as error:
+        raise FormatError(placed(path, error)) from None
     except UnidentifiedImageError:  # its message names an open file, not ours
         raise FormatError(f"{path}: is no photo ({'/'.join(PHOTO_FORMATS)})") from None
     except Exception as error:  # decoders of damaged files raise anything, from struct.error to KeyError
