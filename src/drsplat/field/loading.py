@@ -171,10 +171,11 @@ def verify_field(path: str | os.PathLike[str]) -> list[str]:
 
     Raises: as `load_field`.
     """
-    path = Path(path)
-    names = [name for name in _manifest(path).names if (path / name).exists()]
+    path, names = Path(path), []
     try:
-        check_document(path / MANIFEST)
+        if (path / MANIFEST).exists():  # else the next line says what lies there
+            check_document(path / MANIFEST)
+        names = [name for name in _manifest(path).names if (path / name).exists()]
         for name in names:
             read_tensors(path / name)
     except FormatError as error:
