@@ -232,9 +232,14 @@ def under_load(path: Path, catalogue: Catalogue, clients: int, seconds: float) -
     done.set()
     for thread in threads:
         thread.join()
+    tell_load(f"{clients} clients for {seconds:.0f} s", times, wrong, writes)
+
+
+def tell_load(who, times, wrong, writes) -> None:
+    """Print how long answers and changes took. writes: pairs of a kind and its seconds."""
     p50, p99 = np.percentile(times, (50, 99))
     print(
-        f"{clients} clients for {seconds:.0f} s: {len(times)} answers of {MARKED} to {3 * MARKED} objects, median "
+        f"{who}: {len(times)} answers of {MARKED} to {3 * MARKED} objects, median "
         f"{p50:.2f} s, 99 of 100 within {p99:.2f} s; {len(wrong)} wrong: {wrong[:3]}"
     )
     for kind in ("add", "remove"):
