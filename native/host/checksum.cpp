@@ -15,7 +15,7 @@ namespace {
 
 constexpr uint32_t kDivisor = 0xedb88320;  // of zlib and PNG, its lowest power in the highest bit
 
-constexpr size_t kPart = 4 << 20;  // bytes that are worth a thread
+constexpr size_t kPart = 1 << 20;  // bytes that a thread takes at once
 
 constexpr uint32_t times_x(uint32_t value) { return value >> 1 ^ (value & 1 ? kDivisor : 0); }
 
@@ -144,17 +144,14 @@ uint32_t sum_of(const uint8_t *bytes, size_t count, uint32_t value) {
 
 }  // namespace
 
+// Parts are handed out one after the other, so that a file is read from its disk as by one thread.
 uint32_t crc32(const uint8_t *bytes, size_t count, uint32_t value, int threads) {
-  const int parts = (int)std::clamp<size_t>(count / kPart, 1, (size_t)threads);
-  std::vector<uint32_t> sums(parts);
-  over_parts(count, parts, [&](int part, size_t begin, size_t end) {
-    sums[part] = sum_of(bytes + begin, end - begin, part ? 0 : value);
-  });
-  for (int part = 1; part < parts; part++) {
-    const size_t begin = part_start(count, parts, part), end = part_start(count, parts, part + 1);
-    sums[part] ^= moved_on(sums[part - 1], end - begin);
-  }
-  return sums.back();
+  std::vector<uint32_t> sums(count / kPart + 1);
+  over_rows(count, kPart, threads,
+            [&](int, uint64_t begin, uint64_t end) { sums[begin / kPart] = sum_of(bytes + begin, end - begin, 0); });
+  for (size_t begin = 0; begin < count; begin += kPart)
+    value = moved_on(value, std::min(kPart, count - begin)) ^ sums[begin / kPart];
+  return value;
 }
 
 }  // namespace drsplat
