@@ -112,16 +112,23 @@ static inline uint32_t candidates(const Walk &w, int block, uint32_t begin, uint
   return n;
 }
 
-constexpr uint32_t kBetweenChecks = 16;  // visits
+constexpr uint32_t kBetweenChecks = 8;  // visits
 
 struct Never {
   __attribute__((always_inline)) bool operator()(Floats) const { return false; }
 };
 
-// Calls begin_chunk(n) before up to n visits, visit(list index, weights, reached) for every splat front to back, and
-// now and then ends(transmittance), which ends the walk where it is true. reached: lanes whose rays it touches or ends.
+struct ChunkOnStack {  // of list indices
+  uint32_t indices[kChunk + 16];
+  uint32_t *operator()(uint32_t) { return indices; }
+};
+
+// Calls begin_chunk(n), which gives room for n list indices and sixteen more, before up to n visits,
+// visit(list index, weights, reached) for every splat front to back, and now and then ends(transmittance), which ends
+// the walk where it is true. reached: lanes whose rays it touches or ends.
 // The transmittance is not zeroed at the stop: it only falls, so "would bring it under 1e-4" stays true
-// by itself, and the loop-carried chain is one multiplication. Returns the final transmittance.
+// by itself, and the loop-carried chain is one multiplication. Returns the final transmittance. A few visits more than
+// any ray needs, in which all weights are 0, cost less than a look for the end after each.
 template <class Begin, class Visit, class Ends = Never>
 INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Begin begin_chunk, Visit visit,
                          Ends ends = {}) {
@@ -130,29 +137,30 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
   Floats transmittance = keep(wanted, splat(1.f)), last = splat(1.f);
   Ints hits = splat_int(0);
   Mask before = wanted;
-  uint32_t chunk[kChunk + 16];
   for (uint32_t at = 0; at < tile.count; at += kChunk) {
     const uint32_t end = at + kChunk < tile.count ? at + kChunk : tile.count;
     look_ahead(w, end);
+    uint32_t *chunk = begin_chunk(end - at);
     const uint32_t n = candidates(w, block, at, end, chunk);
-    begin_chunk(n);
-    for (uint32_t j = 0; j < n; j++) {
-      if (j % kBetweenChecks == 0 && ends(transmittance)) return last;
-      const Splat &g = tile.splats[tile.list[chunk[j]]];
-      const Floats alpha = alpha_at(g, offsets(pixels, g));
-      const Floats weight = transmittance * alpha, after = transmittance - weight;
-      Mask live = after >= splat(kMinTransmittance);
-      Floats kept = keep(live, weight);
-      if (first_hits) {
-        hits = increment(hits, splat(0.f) < kept);
-        live = live & !(splat_int(first_hits) < hits);
-        kept = keep(live, kept);
+    for (uint32_t j = 0; j < n;) {
+      if (!any(before) || ends(transmittance)) return last;
+      const uint32_t stop = j + kBetweenChecks < n ? j + kBetweenChecks : n;
+      for (; j < stop; j++) {
+        const Splat &g = tile.splats[tile.list[chunk[j]]];
+        const Floats alpha = alpha_at(g, offsets(pixels, g));
+        const Floats weight = transmittance * alpha, after = transmittance - weight;
+        Mask live = after >= splat(kMinTransmittance);
+        Floats kept = keep(live, weight);
+        if (first_hits) {
+          hits = increment(hits, splat(0.f) < kept);
+          live = live & !(splat_int(first_hits) < hits);
+          kept = keep(live, kept);
+        }
+        visit(chunk[j], kept, before & (splat(0.f) < weight));
+        before = live;
+        last = select(live, after, last);
+        transmittance = first_hits ? keep(live, after) : after;
       }
-      visit(chunk[j], kept, before & (splat(0.f) < weight));
-      before = live;
-      last = select(live, after, last);
-      transmittance = first_hits ? keep(live, after) : after;
-      if (!any(live)) return last;
     }
   }
   return last;
@@ -164,7 +172,6 @@ struct Record {
   float *weights;   // 16 per hit, front to back
   uint32_t *index;  // list index of each hit
   size_t size;
-  Ints lane_sizes;  // hits of each lane
 };
 
 INLINE Ints count_from(const Record &r, Floats threshold) {
@@ -189,21 +196,16 @@ INLINE bool is_complete(const Record &r, int32_t k, Ints guess, Floats transmitt
 
 static Record record_block(Walk &w, int block, Mask wanted, const Selection &selection, Ints guess,
                            TileScratch &scratch) {
-  Record r = {(float *)scratch.hits.data, (uint32_t *)scratch.hit_list.data, 0, splat_int(0)};
+  Record r = {(float *)scratch.hits.data, (uint32_t *)scratch.hit_list.data, 0};
   walk_block(
       w, block, wanted, selection.first_hits,
       [&](uint32_t n) {
-        reserve(scratch.hits, (r.size + n + 1) * sizeof(Floats));
-        reserve(scratch.hit_list, (r.size + n + 1) * sizeof(uint32_t));
+        reserve(scratch.hits, (r.size + n) * sizeof(Floats));
+        reserve(scratch.hit_list, (r.size + n + 16) * sizeof(uint32_t));
         r.weights = (float *)scratch.hits.data, r.index = (uint32_t *)scratch.hit_list.data;
+        return r.index + r.size;
       },
-      [&](uint32_t i, Floats weight, Mask) __attribute__((always_inline)) {  // branch-free append
-        const Mask positive = splat(0.f) < weight;
-        store(r.weights + 16 * r.size, weight);
-        r.index[r.size] = i;
-        r.size += any(positive);
-        r.lane_sizes = increment(r.lane_sizes, positive);
-      },
+      [&](uint32_t, Floats weight, Mask) __attribute__((always_inline)) { store(r.weights + 16 * r.size++, weight); },
       [&](Floats transmittance) __attribute__((always_inline)) {
         return selection.topk && r.size >= (size_t)selection.topk &&
                is_complete(r, selection.topk, guess, transmittance);
@@ -252,7 +254,7 @@ static Ints settle_few(const Record &r, int32_t k, Ints low, Ints excess, Mask f
 static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
   const Ints wanted = splat_int(k), one = splat_int(1);
   Ints low = splat_int(kTinyWeightBits), high = splat_int(kOneBits), threshold = low;
-  Ints count_low = r.lane_sizes, count_high = splat_int(0);
+  Ints count_low = count_from(r, float_of_bits(low)), count_high = splat_int(0);
   Mask busy = wanted < count_low;
   for (int round = 0; any(busy & (splat_int(kFew) < count_low - wanted)); round++) {
     const Ints width = high - low;
@@ -292,25 +294,39 @@ struct TileSegments {
   uint32_t slots_of_block[kBlocks][8];  // bit set
 };
 
+// Of a block's pixels, -1 beyond the image.
+INLINE Ints segments_of(const Tile &tile, const int32_t *segment_ids, int block) {
+  const int left = tile.x * 16 + block % 2 * kBlockWidth, top = tile.y * 16 + block / 2 * kBlockHeight;
+  int32_t ids[16];
+  for (int row = 0; row < kBlockHeight; row++) {
+    const int32_t *from = segment_ids + (size_t)(top + row) * tile.width + left;
+    if (top + row < tile.height && left + kBlockWidth <= tile.width)
+      memcpy(ids + row * kBlockWidth, from, kBlockWidth * sizeof *ids);
+    else
+      for (int x = 0; x < kBlockWidth; x++)
+        ids[row * kBlockWidth + x] = top + row < tile.height && left + x < tile.width ? from[x] : -1;
+  }
+  return load_int(ids);
+}
+
 static void find_segments(const Tile &tile, const int32_t *segment_ids, TileSegments &s) {
   memset(s.slots_of_block, 0, sizeof s.slots_of_block);
   for (int y = tile.y * 16; y < tile.y * 16 + 16 && y < tile.height; y++)  // of the tile after the next
     if (tile.x * 16 + 32 < tile.width) __builtin_prefetch(segment_ids + (size_t)y * tile.width + tile.x * 16 + 32);
   for (int b = 0; b < kBlocks; b++) {
-    int32_t slots[16];
-    for (int l = 0; l < 16; l++) {
-      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth,
-                y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
-      const int32_t id = x < tile.width && y < tile.height ? segment_ids[(size_t)y * tile.width + x] : -1;
-      int slot = -1;
-      if (id >= 0) {
-        for (slot = 0; slot < s.count && s.ids[slot] != id; slot++) {}
-        if (slot == s.count) s.ids[s.count++] = id;
-        s.slots_of_block[b][slot / 32] |= 1u << slot % 32;
-      }
-      slots[l] = slot;
+    const Ints ids = segments_of(tile, segment_ids, b);
+    Ints slots = splat_int(-1);
+    for (uint32_t left = lanes_of(splat_int(-1) < ids); left;) {
+      const int32_t id = ((const int32_t *)&ids)[__builtin_ctz(left)];
+      int slot = 0;
+      while (slot < s.count && s.ids[slot] != id) slot++;
+      if (slot == s.count) s.ids[s.count++] = id;
+      s.slots_of_block[b][slot / 32] |= 1u << slot % 32;
+      const Mask same = ids == splat_int(id);
+      slots = select(same, splat_int(slot), slots);
+      left &= ~lanes_of(same);
     }
-    s.slot_of_lane[b] = load_int(slots);
+    s.slot_of_lane[b] = slots;
   }
 }
 
@@ -424,15 +440,14 @@ static void tile_render(const Tile &tile, const float *values, int32_t channels,
       const int n = channels - first < kChannelsAtOnce ? channels - first : kChannelsAtOnce;
       Floats total[kChannelsAtOnce], weight_sum = splat(0.f), depth_sum = splat(0.f);
       for (int c = 0; c < n; c++) total[c] = splat(0.f);
-      const Floats rest = walk_block(
-          walk, b, inside, 0, [](uint32_t) {},
-          [&](uint32_t i, Floats w, Mask) __attribute__((always_inline)) {
-            const Splat &g = tile.splats[tile.list[i]];
-            const float *value = values + (size_t)g.id * channels + first;
-            for (int c = 0; c < n; c++) total[c] = total[c] + w * splat(value[c]);
-            weight_sum = weight_sum + w;
-            depth_sum = depth_sum + w * splat(g.depth);
-          });
+      const Floats rest = walk_block(walk, b, inside, 0, ChunkOnStack{},
+                                     [&](uint32_t i, Floats w, Mask) __attribute__((always_inline)) {
+                                       const Splat &g = tile.splats[tile.list[i]];
+                                       const float *value = values + (size_t)g.id * channels + first;
+                                       for (int c = 0; c < n; c++) total[c] = total[c] + w * splat(value[c]);
+                                       weight_sum = weight_sum + w;
+                                       depth_sum = depth_sum + w * splat(g.depth);
+                                     });
       for (int c = 0; c < n; c++)
         write_lanes(image + first + c, tile, left, top, inside, channels,
                     total[c] + rest * splat(background[first + c]));

@@ -235,14 +235,22 @@ INLINE Floats floor_of(Floats a) {  // |a| < 2^31
 // p to the nearest integer, which the addition of 1.5 * 2^23 leaves in the low mantissa bits. Forbids
 // -ffast-math.
 INLINE Floats exp2_of(Floats p) {
-  const Floats magic = splat(12582912.f);
-  Floats t = p + magic, f = p - (t - magic);
+#if DRSPLAT_AVX512  // the same bits in fewer instructions
+  const Floats whole = {{(FloatPart)_mm512_roundscale_ps((__m512)p.part[0], _MM_FROUND_TO_NEAREST_INT)}};
+#else
+  const Floats magic = splat(12582912.f), t = p + magic, whole = t - magic;
+#endif
+  const Floats f = p - whole;
   Floats r = splat(1.32764713e-3f) * f + splat(9.67554189e-3f);
   r = r * f + splat(5.55071309e-2f);
   r = r * f + splat(2.40221202e-1f);
   r = r * f + splat(6.93146944e-1f);
   r = r * f + splat(1.f);
+#if DRSPLAT_AVX512
+  return {{(FloatPart)_mm512_scalef_ps((__m512)r.part[0], (__m512)whole.part[0])}};
+#else
   return float_of_bits(bits_of(r) + shift_left(bits_of(t), 23));
+#endif
 }
 
 // log2(a) for normal a > 0, absolute error 1e-7 times the exponent's size: a = m * 2^e with m in
