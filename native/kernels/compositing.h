@@ -224,24 +224,29 @@ static void drop_late_ties(const Record &r, Floats threshold, Mask tied, int32_t
   }
 }
 
-constexpr int32_t kFew = 3;
+constexpr int32_t kFew = 4;
 constexpr int32_t kTinyWeightBits = 0x34000000;  // 1.2e-7, below any weight: at least 1/255 * 1e-4
 constexpr int32_t kOneBits = 0x3f800000;
 constexpr int32_t kFirstGuessBits = 0x3b800000;  // 2^-8
 
-// Per lane, the k-th largest weight where `low` is reached by k and one to three more: one of the four smallest that
+// Per lane, the k-th largest weight where `low` is reached by k and one to kFew more: one of the few smallest that
 // reach it. Elsewhere `threshold`.
 static Ints settle_few(const Record &r, int32_t k, Ints low, Ints excess, Mask few, Ints threshold) {
-  const Floats least = float_of_bits(low), none = splat(1.f);
-  Floats a = none, b = none, c = none, d = none;  // ascending
+  Ints above[kFew + 1];  // the smallest beyond `low`, ascending; what is below it wraps around
+  for (int n = 0; n <= kFew; n++) above[n] = splat_int(-1);
   for (size_t i = 0; i < r.size; i++) {
-    const Floats w = load(r.weights + 16 * i), in = select(w >= least, w, none);
-    const Floats past_a = maximum(a, in), past_b = maximum(b, past_a), past_c = maximum(c, past_b);
-    a = minimum(a, in), b = minimum(b, past_a), c = minimum(c, past_b), d = minimum(d, past_c);
+    Ints in = bits_of(load(r.weights + 16 * i)) - low;
+    for (int n = 0; n <= kFew; n++) {
+      const Ints larger = maximum_unsigned(above[n], in);
+      above[n] = minimum_unsigned(above[n], in), in = larger;
+    }
   }
-  const Mask one = excess == splat_int(1), two = excess == splat_int(2);
-  const Ints kth = bits_of(select(one, b, select(two, c, d))), next = bits_of(select(one, a, select(two, b, c)));
-  threshold = select(few, kth, threshold);
+  Ints kth = above[1], next = above[0];
+  for (int n = 2; n <= kFew; n++) {
+    const Mask mine = excess == splat_int(n);
+    kth = select(mine, above[n], kth), next = select(mine, above[n - 1], next);
+  }
+  threshold = select(few, low + kth, threshold);
   const Mask tied = few & (kth == next);
   if (any(tied)) drop_late_ties(r, float_of_bits(threshold), tied, k);
   return threshold;
@@ -277,7 +282,17 @@ static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
   return any(busy) ? settle_few(r, k, low, count_low - wanted, busy, threshold) : threshold;
 }
 
-// Thresholds change little from block to block: `guess` carries the last one over.
+// Thresholds change little from block to block: that of the block above is the first guess, in the top row that of the
+// block to the left.
+struct Guesses {
+  Ints bits[2] = {splat_int(kFirstGuessBits), splat_int(kFirstGuessBits)};
+
+  Ints &of(int block) {
+    if (block == 1) bits[1] = bits[0];
+    return bits[block % 2];
+  }
+};
+
 static Floats selection_threshold(const Record &r, const Selection &s, Ints &guess) {
   if (!s.topk || r.size <= (size_t)s.topk) return float_of_bits(splat_int(kTinyWeightBits));
   const Ints threshold = topk_threshold(r, s.topk, guess);
@@ -357,7 +372,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
   find_segments(tile, segment_ids, segments);
   if (!segments.count || !tile.count) return;
   Walk walk(tile, scratch);
-  Ints guess = splat_int(kFirstGuessBits);
+  Guesses guesses;
   const size_t slots = segments.count;
   const bool tabled = tile.count * slots <= kTableLimit;
   if (tabled) reserve(scratch.table, tile.count * slots * sizeof(Floats));
@@ -366,6 +381,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
   for (int b = 0; b < kBlocks; b++) {
     const Mask wanted = splat_int(-1) < segments.slot_of_lane[b];
     if (!any(wanted)) continue;
+    Ints &guess = guesses.of(b);
     const Record r = record_block(walk, b, wanted, selection, guess, scratch);
     const Floats threshold = selection_threshold(r, selection, guess);
     if (tabled && cleared < walk.known) {
@@ -397,10 +413,11 @@ static void tile_contributions(const Tile &tile, const Selection &selection, Til
   if (!tile.count) return;
   Walk walk(tile, scratch);
   const size_t k = selection.topk;
-  Ints guess = splat_int(kFirstGuessBits);
+  Guesses guesses;
   for (int b = 0; b < kBlocks; b++) {
     const auto [left, top, inside] = pixels_of(walk, b);
     if (!any(inside)) continue;
+    Ints &guess = guesses.of(b);
     const Record r = record_block(walk, b, inside, selection, guess, scratch);
     const Floats threshold = selection_threshold(r, selection, guess);
     size_t filled[16] = {};

@@ -103,6 +103,12 @@ INLINE Ints increment(Ints a, Mask m) {
 }
 INLINE Floats minimum(Floats a, Floats b) { return {{(FloatPart)_mm512_min_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
 INLINE Floats maximum(Floats a, Floats b) { return {{(FloatPart)_mm512_max_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
+INLINE Ints minimum_unsigned(Ints a, Ints b) {
+  return {{(IntPart)_mm512_min_epu32((__m512i)a.part[0], (__m512i)b.part[0])}};
+}
+INLINE Ints maximum_unsigned(Ints a, Ints b) {
+  return {{(IntPart)_mm512_max_epu32((__m512i)a.part[0], (__m512i)b.part[0])}};
+}
 INLINE Floats square_root(Floats a) { return {{(FloatPart)_mm512_sqrt_ps((__m512)a.part[0])}}; }
 // 1 / a to 1e-7 for normal a: the processor's estimate and one step of Newton's, in a third of a division's time.
 INLINE Floats reciprocal(Floats a) {
@@ -127,6 +133,12 @@ INLINE Floats keep(Mask m, Floats a) { LANES(Floats, (FloatPart)((IntPart)a.part
 INLINE Ints increment(Ints a, Mask m) { LANES(Ints, a.part[i] - m.part[i]); }
 INLINE Floats minimum(Floats a, Floats b) { return select(a < b, a, b); }
 INLINE Floats maximum(Floats a, Floats b) { return select(b < a, a, b); }
+INLINE Ints minimum_unsigned(Ints a, Ints b) {
+  LANES(Ints, (UintPart)a.part[i] < (UintPart)b.part[i] ? a.part[i] : b.part[i]);
+}
+INLINE Ints maximum_unsigned(Ints a, Ints b) {
+  LANES(Ints, (UintPart)b.part[i] < (UintPart)a.part[i] ? a.part[i] : b.part[i]);
+}
 #if defined(__AVX__)
 INLINE uint32_t lanes_of(Mask m) {
   return (uint32_t)_mm256_movemask_ps((__m256)m.part[0]) | (uint32_t)_mm256_movemask_ps((__m256)m.part[1]) << 8;
