@@ -2,8 +2,10 @@
 
 #include "host/parallel.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <numeric>
 #include <utility>
@@ -21,6 +23,7 @@ constexpr int kRounds = 2;   // of leaving strays out
 constexpr int kTails = 13;   // shares of the mass that a tail may have: none, and steps of one factor up to the largest
 constexpr size_t kFewest = 4;  // points: fewer have no axes in space
 constexpr double kTailStep = 0.77;
+constexpr size_t kSample = 256;
 
 using Vector3 = std::array<double, 3>;
 using Matrix3 = std::array<Vector3, 3>;  // by rows
@@ -95,6 +98,7 @@ struct Set {
   std::vector<Vector3> points, along, deviations;
   std::vector<double> mass, near, widths, masses;
   std::vector<char> inside;
+  std::vector<std::pair<double, double>> beyond;
 
   void take(const Solids &all, const int64_t *ids, size_t count) {
     points.resize(count), mass.resize(count), along.resize(count), deviations.resize(count);
@@ -248,20 +252,36 @@ struct Set {
 
   // The centres along an axis with more than each of some shares of the mass on their side of `sign`, itself included.
   std::array<double, kTails> tail(int axis, double sign, const BoxRule &rule) {
-    std::vector<std::pair<double, double>> heap(points.size());
-    for (size_t i = 0; i < points.size(); i++) heap[i] = {-sign * along[i][axis], mass[i]};
-    std::make_heap(heap.begin(), heap.end());
+    collect_beyond(axis, sign, rule);
     std::array<double, kTails> ends;
     double below = 0, at = 0;
     int found = 0;
-    while (found < kTails && !heap.empty()) {
-      std::pop_heap(heap.begin(), heap.end());
-      at = -sign * heap.back().first, below += heap.back().second;
-      heap.pop_back();
+    for (size_t i = 0; found < kTails && i < beyond.size(); i++) {
+      at = -sign * beyond[i].first, below += beyond[i].second;
       while (found < kTails && below > tail_share(found, rule)) ends[(size_t)found++] = at;
     }
     while (found < kTails) ends[(size_t)found++] = at;
     return ends;
+  }
+
+  // The outermost first. Of many only those beyond a centre that some tell, if they have the mass of the largest tail:
+  // of the others nobody asks the order.
+  void collect_beyond(int axis, double sign, const BoxRule &rule) {
+    const auto value = [&](size_t i) { return -sign * along[i][(size_t)axis]; };
+    double least = -std::numeric_limits<double>::infinity(), sum = 0;
+    if (points.size() > 4 * kSample) {
+      std::array<double, kSample> some;
+      for (size_t i = 0; i < kSample; i++) some[i] = value(i * points.size() / kSample);
+      std::nth_element(some.begin(), some.begin() + kSample / 12, some.end(), std::greater<>());
+      least = some[kSample / 12];
+    }
+    for (bool enough = false; !enough; least = -std::numeric_limits<double>::infinity()) {
+      beyond.clear(), sum = 0;
+      for (size_t i = 0; i < points.size(); i++)
+        if (value(i) >= least) beyond.push_back({value(i), mass[i]}), sum += mass[i];
+      enough = sum > 2 * rule.strays || beyond.size() == points.size();
+    }
+    std::sort(beyond.begin(), beyond.end(), std::greater<>());
   }
 
   void drop_strays(std::vector<int64_t> &ids) {
