@@ -89,14 +89,23 @@ struct Normal {
 
 const Normal kNormal;
 
-double tail_share(int number, const BoxRule &rule) {
-  return number ? rule.strays * std::pow(kTailStep, kTails - 1 - number) : 0;
-}
+// Shares of the mass that a tail may have, and for what is left without two of them the power of its mass, as a
+// logarithm.
+struct Tails {
+  std::array<double, kTails> shares;
+  std::array<std::array<double, kTails>, kTails> left;
+
+  explicit Tails(const BoxRule &rule) {
+    for (int i = 0; i < kTails; i++) shares[i] = i ? rule.strays * std::pow(kTailStep, kTails - 1 - i) : 0;
+    for (int i = 0; i < kTails; i++)
+      for (int j = 0; j < kTails; j++) left[i][j] = rule.sparse * std::log(1 - shares[i] - shares[j]);
+  }
+};
 
 // One set's Gaussians along the axes of its box.
 struct Set {
   std::vector<Vector3> points, along, deviations;
-  std::vector<double> mass, near, widths, masses;
+  std::vector<double> mass, near, widths, masses, some;
   std::vector<char> inside;
   std::vector<std::pair<double, double>> beyond;
 
@@ -218,14 +227,14 @@ struct Set {
 
   // Marks as inside what is in the core along each axis. Axes of everything may be turned by strays, so that a second
   // round has better ones.
-  Matrix3 leave_strays_out(const BoxRule &rule) {
+  Matrix3 leave_strays_out(const BoxRule &rule, const Tails &tails) {
     for (int round = 0; round < kRounds; round++) {
       const Matrix3 axes = axes_of_inside(rule.up);
       for (size_t i = 0; i < points.size(); i++)
         for (int k = 0; k < 3; k++) along[i][k] = dot(axes[k], points[i]);
       inside.assign(points.size(), 1);
       for (int k = 0; k < 3; k++) {
-        const auto [low, high] = core(k, rule);
+        const auto [low, high] = core(k, tails);
         for (size_t i = 0; i < points.size(); i++) inside[i] &= along[i][k] >= low && along[i][k] <= high;
       }
       size_t left = 0;
@@ -236,29 +245,28 @@ struct Set {
   }
 
   // The interval between the centres of two tails that has the largest mass^sparse / length.
-  std::pair<double, double> core(int axis, const BoxRule &rule) {
-    const auto lows = tail(axis, 1, rule), highs = tail(axis, -1, rule);
+  std::pair<double, double> core(int axis, const Tails &tails) {
+    const auto lows = tail(axis, 1, tails), highs = tail(axis, -1, tails);
     const double least = 1e-9 * (highs[0] - lows[0]) + std::numeric_limits<double>::min();
     double best = -std::numeric_limits<double>::infinity();
     std::pair<double, double> ends{lows[0], highs[0]};
     for (int i = 0; i < kTails; i++)
       for (int j = 0; j < kTails; j++) {
-        const double kept = 1 - tail_share(i, rule) - tail_share(j, rule);
-        const double value = rule.sparse * std::log(kept) - std::log(std::max(highs[j] - lows[i], least));
+        const double value = tails.left[i][j] - std::log(std::max(highs[j] - lows[i], least));
         if (highs[j] >= lows[i] && value > best) best = value, ends = {lows[i], highs[j]};
       }
     return ends;
   }
 
   // The centres along an axis with more than each of some shares of the mass on their side of `sign`, itself included.
-  std::array<double, kTails> tail(int axis, double sign, const BoxRule &rule) {
-    collect_beyond(axis, sign, rule);
+  std::array<double, kTails> tail(int axis, double sign, const Tails &tails) {
+    collect_beyond(axis, sign, tails);
     std::array<double, kTails> ends;
     double below = 0, at = 0;
     int found = 0;
     for (size_t i = 0; found < kTails && i < beyond.size(); i++) {
       at = -sign * beyond[i].first, below += beyond[i].second;
-      while (found < kTails && below > tail_share(found, rule)) ends[(size_t)found++] = at;
+      while (found < kTails && below > tails.shares[(size_t)found]) ends[(size_t)found++] = at;
     }
     while (found < kTails) ends[(size_t)found++] = at;
     return ends;
@@ -266,20 +274,19 @@ struct Set {
 
   // The outermost first. Of many only those beyond a centre that some tell, if they have the mass of the largest tail:
   // of the others nobody asks the order.
-  void collect_beyond(int axis, double sign, const BoxRule &rule) {
+  void collect_beyond(int axis, double sign, const Tails &tails) {
     const auto value = [&](size_t i) { return -sign * along[i][(size_t)axis]; };
     double least = -std::numeric_limits<double>::infinity(), sum = 0;
-    if (points.size() > 4 * kSample) {
-      std::array<double, kSample> some;
-      for (size_t i = 0; i < kSample; i++) some[i] = value(i * points.size() / kSample);
-      std::nth_element(some.begin(), some.begin() + kSample / 12, some.end(), std::greater<>());
-      least = some[kSample / 12];
-    }
+    const size_t told = points.size() > 4 * kSample ? kSample : points.size(), last = told / 12;
+    some.resize(told);
+    for (size_t i = 0; i < told; i++) some[i] = value(i * points.size() / told);
+    std::nth_element(some.begin(), some.begin() + (ptrdiff_t)last, some.end(), std::greater<>());
+    if (last) least = some[last];
     for (bool enough = false; !enough; least = -std::numeric_limits<double>::infinity()) {
       beyond.clear(), sum = 0;
       for (size_t i = 0; i < points.size(); i++)
         if (value(i) >= least) beyond.push_back({value(i), mass[i]}), sum += mass[i];
-      enough = sum > 2 * rule.strays || beyond.size() == points.size();
+      enough = sum > 2 * tails.shares.back() || beyond.size() == points.size();
     }
     std::sort(beyond.begin(), beyond.end(), std::greater<>());
   }
@@ -317,12 +324,13 @@ void order(Matrix3 &axes, Vector3 &low, Vector3 &high, bool upright) {
 
 void boxes(const Solids &all, const int64_t *starts, const int64_t *ids, uint64_t sets, const BoxRule &rule,
            int threads, double *centers, double *axes, double *lengths) {
+  const Tails tails(rule);
   over_rows(sets, 1, threads, [&](int, uint64_t s, uint64_t) {
     Set set;
     Vector3 low, high;
     std::vector<int64_t> members(ids + starts[s], ids + starts[s + 1]);
     set.take(all, members.data(), members.size());
-    Matrix3 own = set.leave_strays_out(rule);
+    Matrix3 own = set.leave_strays_out(rule, tails);
     set.drop_strays(members);
     set.lay_along(all, members.data(), own);
     for (int k = 0; k < 3; k++) low[k] = set.end(k, 1, rule), high[k] = set.end(k, -1, rule);
