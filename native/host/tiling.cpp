@@ -1,4 +1,5 @@
 #include "host/tiling.h"
+#include "host/sorting.h"
 
 #include <algorithm>
 #include <cstring>
@@ -28,27 +29,6 @@ void project_all(Workspace &w, const Kernels &kernels, const Scene &scene, const
       w.keys[at++] = (uint64_t)bits << 32 | i;
     }
   }
-}
-
-// One stable counting-sort pass over `bits` bits of the keys; thread histograms keep it stable.
-void radix_pass(Workspace &w, int shift, int bits, int threads) {
-  const uint32_t buckets = 1u << bits, mask = buckets - 1;
-  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
-    auto &counts = w.workers[t]->depth_counts;
-    counts.assign(buckets, 0);
-    for (uint32_t i = begin; i < end; i++) counts[w.keys[i] >> shift & mask]++;
-  });
-  uint32_t sum = 0;
-  for (uint32_t b = 0; b < buckets; b++)
-    for (int t = 0; t < threads; t++) {
-      uint32_t &c = w.workers[t]->depth_counts[b], n = c;
-      c = sum, sum += n;
-    }
-  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
-    auto &next = w.workers[t]->depth_counts;
-    for (uint32_t i = begin; i < end; i++) w.other_keys[next[w.keys[i] >> shift & mask]++] = w.keys[i];
-  });
-  w.keys.swap(w.other_keys);
 }
 
 uint32_t bits_at(const float *column, uint32_t row) {
@@ -108,7 +88,11 @@ void settle_ties(Workspace &w, const Scene &scene, int threads) {
 
 // Front to back; of equal depths by content.
 void sort_by_depth(Workspace &w, const Scene &scene, int threads, bool way_back) {
-  for (int pass = 0; pass < 3; pass++) radix_pass(w, 32 + 11 * pass, pass == 2 ? 10 : 11, threads);
+  for (int shift = 32; shift < 64; shift += 11) {
+    const int bits = std::min(11, 64 - shift);
+    radix_pass(w, w.keys, w.other_keys, w.visible, bits, threads,
+               [=](uint64_t key) { return (uint32_t)(key >> shift) & ((1u << bits) - 1); });
+  }
   settle_ties(w, scene, threads);
   grow(w.splats, w.visible), grow(w.extents, w.visible);
   if (way_back) grow(w.ranks, w.projected.size());

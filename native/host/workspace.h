@@ -8,7 +8,8 @@
 
 namespace drsplat {
 
-struct SegmentWeight {
+struct Triple {
+  uint32_t gaussian;
   int32_t segment;
   float weight;
 };
@@ -24,8 +25,7 @@ struct Worker {
   TileScratch scratch;
   Triples triples;
   MergedTriples merged;
-  Kept<uint32_t> spans, tile_counts, depth_counts, row_start;
-  Kept<SegmentWeight> by_row;
+  Kept<uint32_t> spans, tile_counts, digit_counts;
 };
 
 // What one view needs between projecting its splats and visiting its tiles, kept for the next one: fresh pages cost as
@@ -35,6 +35,7 @@ struct Workspace {
   Kept<Extent> projected_extents, extents;
   Kept<uint64_t> keys, other_keys;
   Kept<uint32_t> list, tile_start;
+  Kept<Triple> triples, other_triples;
   // For the way back, if asked: how many each thread projected, in index order; the depth rank of each,
   // and where its rows of sums begin, one for each tile; of each entry of `list`, its row.
   Kept<uint32_t> projected_counts, ranks, rows_start, rows_of_list;

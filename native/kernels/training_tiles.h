@@ -33,8 +33,7 @@ static void tile_forward(const Tile &tile, const float *colors, const float *bac
     if (!any(inside)) continue;
     Floats red = splat(0.f), green = red, blue = red;
     const Floats rest = walk_block(
-        walk, b, inside, 0, [](uint32_t) {},
-        [&](uint32_t i, Floats w, Mask reached) __attribute__((always_inline)) {
+        walk, b, inside, 0, ChunkOnStack{}, [&](uint32_t i, Floats w, Mask reached) __attribute__((always_inline)) {
           const float *color = colors + 3 * (size_t)tile.list[i];
           blocks[i] = (uint16_t)(blocks[i] | (uint32_t)any(reached) << b);
           red = red + w * splat(color[0]), green = green + w * splat(color[1]), blue = blue + w * splat(color[2]);

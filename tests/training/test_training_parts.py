@@ -522,6 +522,24 @@ def test_photos_beyond_the_budget_are_read_again(tmp_path, monkeypatch):
     assert reads == ["00.png", "01.png", "02.png", "03.png", "02.png", "03.png"]
 
 
+def test_the_last_coarse_photo_is_kept_while_there_is_room(tmp_path):
+    path = tmp_path / "photo.png"
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (112, 160, 3), np.uint8)).save(path)
+    views = circle(2, path=path)
+    full = 112 * 160 * 3
+    photos, few = TrainingPhotos(views, 2 * full + full // 2), TrainingPhotos(views, full)
+    for size in ((40, 28), (80, 56), (160, 112), (80, 56)):
+        coarse = photos.on_raster(0, *size)
+        assert photos.on_raster(0, *size) is coarse
+        assert np.array_equal(coarse.pixels, photos[0].smaller(*size).pixels)
+        assert np.array_equal(few.on_raster(0, *size).pixels, coarse.pixels)
+    assert photos.on_raster(0, 160, 112) is photos[0]
+    assert photos._room == full + full // 2 - full // 4
+    assert few._room == 0
+    assert not few._coarse
+    assert photos.with_masks_of(views)._room == full + full // 2
+
+
 def test_pixels_that_no_photo_covers_are_marked(tmp_path):
     path = tmp_path / "photo.png"
     Image.fromarray(np.full((112, 160, 3), 200, np.uint8)).save(path)

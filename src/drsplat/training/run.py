@@ -187,8 +187,8 @@ class Run:
 
     def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         """Draw a photo's view and compare. Raises: DrSplatError: the loss is no longer a number."""
-        photo, view = self.photos[index], self._view(index)
-        photo = photo if view is self.views[index] else photo.smaller(*view.size)
+        view = self._view(index)
+        photo = self.photos.on_raster(index, *view.size)
         target = photo.colors()
         self._lap("photo")
         drawn = forward(
