@@ -109,20 +109,20 @@ void sort_by_depth(Workspace &w, const Scene &scene, int threads, bool way_back)
   });
 }
 
-// Room for each splat's places, in index order: as many as tiles in its spans.
-void find_places(Workspace &w, uint64_t pairs, int threads) {
+// Where each splat's rows begin, in index order: as many as tiles in its spans.
+void find_rows(Workspace &w, uint64_t pairs, int threads) {
   const size_t n = w.projected.size();
-  grow(w.places, pairs + 1), grow(w.places_start, n + 1);
-  std::fill_n(w.places_start.begin(), n + 1, 0);
+  grow(w.rows_of_list, pairs), grow(w.rows_start, n + 1);
+  std::fill_n(w.rows_start.begin(), n + 1, 0);
   over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
     const uint32_t *span = w.workers[t]->spans.data();
     for (uint32_t i = begin; i < end; i++) {
       uint32_t count = 0;
       for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++) count += (*span >> 16) - (*span & 0xffff);
-      w.places_start[(uint32_t)w.keys[i] + 1] = count;
+      w.rows_start[(uint32_t)w.keys[i] + 1] = count;
     }
   });
-  for (size_t i = 0; i < n; i++) w.places_start[i + 1] += w.places_start[i];
+  for (size_t i = 0; i < n; i++) w.rows_start[i + 1] += w.rows_start[i];
 }
 
 // Counting sort of (tile, splat) pairs by tile; since splats come in depth order, so does every list.
@@ -150,17 +150,17 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_
   if (sum > UINT32_MAX) throw std::bad_alloc();
   w.tile_start[tiles] = (uint32_t)sum;
   grow(w.list, sum);
-  if (way_back) find_places(w, sum, threads);
+  if (way_back) find_rows(w, sum, threads);
   over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
     Worker &worker = *w.workers[t];
     const uint32_t *span = worker.spans.data();
     for (uint32_t i = begin; i < end; i++) {
-      uint32_t *place = way_back ? &w.places[w.places_start[(uint32_t)w.keys[i]]] : nullptr;
+      uint32_t row_of_sums = way_back ? w.rows_start[(uint32_t)w.keys[i]] : 0;
       for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++)
         for (uint32_t x = *span & 0xffff; x < *span >> 16; x++) {
           const uint32_t at = worker.tile_counts[(size_t)row * w.columns + x]++;
           w.list[at] = i;
-          if (place) *place++ = at;
+          if (way_back) w.rows_of_list[at] = row_of_sums++;
         }
     }
   });

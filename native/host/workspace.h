@@ -37,8 +37,8 @@ struct Workspace {
   Kept<uint32_t> list, tile_start;
   Kept<Triple> triples, other_triples;
   // For the way back, if asked: how many each thread projected, in index order; the depth rank of each,
-  // and its entries of `list` in tile order.
-  Kept<uint32_t> projected_counts, ranks, places, places_start;
+  // and where its rows of sums begin, one for each tile; of each entry of `list`, its row.
+  Kept<uint32_t> projected_counts, ranks, rows_start, rows_of_list;
   Kept<float> scene, colors, sums, gradients;  // training only
   Kept<uint16_t> blocks;                       // also: of each entry of `list`, the blocks in which it reaches a ray
   std::vector<std::unique_ptr<Worker>> workers;

@@ -4,43 +4,40 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
-INLINE float adam_change(float rate, float first, float second, const AdamStep &s) {
-  return rate * first / (__builtin_sqrtf(second) * s.root_correction + s.epsilon);
-}
-
-static inline void adam_at_one_rate(float *parameter, const float *gradient, float *first, float *second, size_t count,
-                                    const AdamStep &s) {
-  for (size_t i = 0; i < count; i++) {
-    const float g = gradient[i], m = s.beta1 * first[i] + (1 - s.beta1) * g,
-                v = s.beta2 * second[i] + (1 - s.beta2) * g * g;
-    first[i] = m, second[i] = v;
-    parameter[i] -= adam_change(s.rate, m, v, s);
+// One Adam step of some numbers, in place; a null gradient is 0. rate and epsilon carry the bias corrections (Kingma &
+// Ba 2015, end of Sec. 2).
+INLINE void step_numbers(float *parameter, const float *gradient, float *first, float *second, size_t count,
+                         Floats rate, const AdamStep &s) {
+  for (size_t at = 0; at < count; at += 16) {
+    const uint32_t n = count - at < 16 ? (uint32_t)(count - at) : 16;
+    const Floats g = gradient ? load_some(gradient + at, n) : splat(0.f);
+    const Floats m = s.beta1 * load_some(first + at, n) + (1 - s.beta1) * g,
+                 v = s.beta2 * load_some(second + at, n) + (1 - s.beta2) * g * g;
+    store_some(first + at, m, n), store_some(second + at, v, n);
+    const Floats change = rate * m / (square_root(v) * splat(s.root_correction) + splat(s.epsilon));
+    store_some(parameter + at, load_some(parameter + at, n) - change, n);
   }
 }
 
-static inline void copy_heads(const float *rows, size_t row, size_t count, float *heads) {
-  for (size_t i = 0; i < count; i++)
-    for (int c = 0; c < kAdamHead; c++) heads[i * kAdamHead + c] = rows[i * row + c];
+// The first `count` numbers of a row; the head has a rate of its own.
+INLINE void step_row(float *parameter, const float *gradient, float *first, float *second, int count,
+                     const AdamStep &s) {
+  float rates[16];
+  for (int i = 0; i < 16; i++) rates[i] = i < kAdamHead ? s.head_rate : s.rate;
+  const size_t begun = count < 16 ? (size_t)count : 16;
+  step_numbers(parameter, gradient, first, second, begun, load(rates), s);
+  if (count > 16)
+    step_numbers(parameter + 16, gradient ? gradient + 16 : nullptr, first + 16, second + 16, (size_t)count - 16,
+                 splat(s.rate), s);
 }
 
-// One Adam step, in place. rate and epsilon carry the bias corrections (Kingma & Ba 2015, end of Sec. 2).
-// Heads are stepped with their row and then once more, from where they were: of sixteen rows at a time,
-// because a few numbers in a row are too few for a vector.
 static void adam(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end,
                  const AdamStep &s) {
   if (!s.row)
-    return adam_at_one_rate(parameter + begin, gradient + begin, first + begin, second + begin, end - begin, s);
-  float heads[16 * kAdamHead], firsts[16 * kAdamHead], seconds[16 * kAdamHead];
-  const size_t sixteen = (size_t)16 * s.row;
-  for (size_t at = begin; at < end; at += sixteen) {
-    const size_t size = end - at < sixteen ? end - at : sixteen, rows = size / s.row;
-    copy_heads(parameter + at, s.row, rows, heads);
-    adam_at_one_rate(parameter + at, gradient + at, first + at, second + at, size, s);
-    copy_heads(first + at, s.row, rows, firsts), copy_heads(second + at, s.row, rows, seconds);
-    for (size_t i = 0; i < rows * kAdamHead; i++) heads[i] -= adam_change(s.head_rate, firsts[i], seconds[i], s);
-    for (size_t i = 0; i < rows; i++)
-      for (int c = 0; c < kAdamHead; c++) parameter[at + i * s.row + c] = heads[i * kAdamHead + c];
-  }
+    return step_numbers(parameter + begin, gradient + begin, first + begin, second + begin, end - begin, splat(s.rate),
+                        s);
+  for (size_t at = begin; at < end; at += s.row)
+    step_row(parameter + at, gradient + at, first + at, second + at, (int)s.row, s);
 }
 
 }  // namespace drsplat::DRSPLAT_ISA

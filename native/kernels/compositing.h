@@ -18,19 +18,25 @@ constexpr size_t kTableLimit = 1 << 16;  // 64-byte cells: 4 MiB
 struct Walk {
   const Tile &tile;
   const float *colors;  // 3 per splat, fetched with the splats; or null
+  int width, height;    // of a block; as many blocks lie side by side as one is high
   uint16_t *masks;      // per list entry: the blocks it may touch
   uint32_t known = 0;   // masks are filled up to here
   float left, top;      // centre of the tile's first pixel
   Floats block_x, block_y, lane_x, lane_y;
 
-  Walk(const Tile &t, TileScratch &scratch, const float *colors = nullptr)
-      : tile(t), colors(colors), left((float)t.x * 16.f + 0.5f), top((float)t.y * 16.f + 0.5f) {
+  Walk(const Tile &t, TileScratch &scratch, const float *colors = nullptr, int block_width = kBlockWidth)
+      : tile(t),
+        colors(colors),
+        width(block_width),
+        height(16 / block_width),
+        left((float)t.x * 16.f + 0.5f),
+        top((float)t.y * 16.f + 0.5f) {
     reserve(scratch.block_masks, (t.count + 16) * sizeof(uint16_t));
     masks = (uint16_t *)scratch.block_masks.data;
     float bx[16], by[16], lx[16], ly[16];
     for (int i = 0; i < 16; i++) {
-      bx[i] = left + (float)(i % 2 * kBlockWidth), by[i] = top + (float)(i / 2 * kBlockHeight);
-      lx[i] = (float)(i % kBlockWidth), ly[i] = (float)(i / kBlockWidth);
+      bx[i] = left + (float)(i % height * width), by[i] = top + (float)(i / height * height);
+      lx[i] = (float)(i % width), ly[i] = (float)(i / width);
     }
     block_x = load(bx), block_y = load(by), lane_x = load(lx), lane_y = load(ly);
   }
@@ -42,7 +48,7 @@ struct Pixels {   // of a block
 };
 
 INLINE Pixels pixels_of(const Walk &w, int block) {
-  const int left = w.tile.x * 16 + block % 2 * kBlockWidth, top = w.tile.y * 16 + block / 2 * kBlockHeight;
+  const int left = w.tile.x * 16 + block % w.height * w.width, top = w.tile.y * 16 + block / w.height * w.height;
   return {left, top,
           (w.lane_x < splat((float)(w.tile.width - left))) & (w.lane_y < splat((float)(w.tile.height - top)))};
 }
@@ -50,8 +56,8 @@ INLINE Pixels pixels_of(const Walk &w, int block) {
 struct Points { Floats x, y; };
 
 INLINE Points centres_of(const Walk &w, int block) {  // of its pixels
-  return {w.lane_x + splat(w.left + (float)(block % 2 * kBlockWidth)),
-          w.lane_y + splat(w.top + (float)(block / 2 * kBlockHeight))};
+  return {w.lane_x + splat(w.left + (float)(block % w.height * w.width)),
+          w.lane_y + splat(w.top + (float)(block / w.height * w.height))};
 }
 
 INLINE Points offsets(const Points &pixels, const Splat &g) { return {pixels.x - splat(g.x), pixels.y - splat(g.y)}; }
@@ -73,7 +79,7 @@ INLINE void alphas_at(const Splat *const *splats, const Points *d, Floats *alpha
 // centre, along x or along y.
 INLINE uint32_t blocks_touched(const Walk &w, const Splat &g) {
   const Floats xa = w.block_x - splat(g.x), ya = w.block_y - splat(g.y), zero = splat(0.f);
-  const Floats xb = xa + splat(kBlockWidth - 1.f), yb = ya + splat(kBlockHeight - 1.f);
+  const Floats xb = xa + splat((float)w.width - 1.f), yb = ya + splat((float)w.height - 1.f);
   const Floats near_x = minimum(maximum(zero, xa), xb), near_y = minimum(maximum(zero, ya), yb);
   const Floats best_y = minimum(maximum(near_x * splat(-0.5f * g.xy / g.yy), ya), yb);
   const Floats best_x = minimum(maximum(near_y * splat(-0.5f * g.xy / g.xx), xa), xb);

@@ -98,15 +98,10 @@ constexpr int kSplatSums = 9;  // see training_tiles.h
 struct Visible {  // a run of projected splats, in index order
   const Splat *splats;
   const Extent *extents;
-  const uint32_t *ranks;         // by depth
-  const uint32_t *places_start;  // of splat i: rows [places_start[i], places_start[i + 1]) of Sums::places
+  const uint32_t *ranks;       // by depth
+  const uint32_t *rows_start;  // of splat i: rows [rows_start[i], rows_start[i + 1]) of the sums over tiles
   uint32_t count;
-};
-
-struct Sums {  // kSplatSums for each splat in each tile
-  const float *values;
-  const uint32_t *places;  // rows of `values`
-  const float *colors;     // 3 each, by rank
+  uint32_t begin, end;  // of these Gaussians
 };
 
 struct GradientArrays {  // as Parameters; zero where a Gaussian is not seen
@@ -122,13 +117,18 @@ constexpr size_t kLossRow = 32;  // numbers of a padded row beyond its colours
 inline size_t loss_stride(int32_t width) { return ((size_t)width * 3 + 15) / 16 * 16; }
 inline size_t loss_scratch(int32_t width) { return 81 * loss_stride(width) + 4 * kLossRow; }
 
-struct AdamStep {
+struct AdamStep {  // rates and root_correction carry the bias corrections
   float rate, beta1, beta2, root_correction, epsilon;
   // The first kAdamHead numbers of every row of `row` have a rate of their own; row 0: there are none.
   float head_rate;
   uint32_t row;
 };
 constexpr int kAdamHead = 3;
+
+struct HarmonicsStep {  // taken on the way back, of the coefficients in use, so that their gradients need no memory
+  float *sh, *first, *second;  // rows of Parameters::sh and their moments
+  AdamStep adam;
+};
 
 struct Contest {       // of `count` more scores of each row with the `kept` best, highest first
   float *scores;       // kept x rows
@@ -166,10 +166,10 @@ struct Kernels {
   void (*splat_colors)(const Visible &, const Parameters &, int32_t active, const float *center, float *colors);
   void (*tile_forward)(const Tile &, const float *colors, const float *background, TileScratch &, float *image,
                        float *alpha, uint16_t *blocks);
-  void (*tile_backward)(const Tile &, const uint16_t *blocks, const float *colors, const float *image,
-                        const float *gradient, TileScratch &, float *sums);
-  void (*splats_backward)(const Visible &, const Sums &, const Parameters &, const Camera &, int32_t active,
-                          const float *center, const GradientArrays &);
+  void (*tile_backward)(const Tile &, const uint16_t *blocks, const uint32_t *rows, const float *colors,
+                        const float *image, const float *gradient, TileScratch &, float *sums);
+  void (*splats_backward)(const Visible &, const float *tile_sums, const Parameters &, const Camera &, int32_t active,
+                          const float *center, const GradientArrays &, const HarmonicsStep *);
   void (*loss_rows)(const LossImages &, float *scratch, int begin, int end, float *gradient, double *l1, double *ssim);
   void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end,
                const AdamStep &);

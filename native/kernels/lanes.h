@@ -47,6 +47,26 @@ INLINE Ints load_int(const int32_t *p) { LANES(Ints, ((const LooseInts *)p)[i]);
 INLINE void store(float *p, Floats a) { EACH_PART(((LooseFloats *)p)[i] = a.part[i]); }
 INLINE void store_int(int32_t *p, Ints a) { EACH_PART(((LooseInts *)p)[i] = a.part[i]); }
 
+// Of up to sixteen numbers; lanes beyond them are 0, and stay out of memory.
+INLINE Floats load_some(const float *p, uint32_t n) {
+  if (n >= 16) return load(p);
+#if DRSPLAT_AVX512
+  return {{(FloatPart)_mm512_maskz_loadu_ps((__mmask16)((1u << n) - 1), p)}};
+#else
+  float padded[16] = {};
+  memcpy(padded, p, n * sizeof(float));
+  return load(padded);
+#endif
+}
+INLINE void store_some(float *p, Floats a, uint32_t n) {
+  if (n >= 16) return store(p, a);
+#if DRSPLAT_AVX512
+  _mm512_mask_storeu_ps(p, (__mmask16)((1u << n) - 1), (__m512)a.part[0]);
+#else
+  memcpy(p, &a, n * sizeof(float));
+#endif
+}
+
 #define LANE_OPERATOR(Type, op) \
   INLINE Type operator op(Type a, Type b) { LANES(Type, a.part[i] op b.part[i]); }
 LANE_OPERATOR(Floats, +)
@@ -236,6 +256,25 @@ INLINE void store_sums(float *out, const Floats &a, const Floats &b, const Float
   const Four A = quarters(a), B = quarters(b), C = quarters(c), D = quarters(d);
   const Four ab = LOW_PAIRS(A, B) + HIGH_PAIRS(A, B), cd = LOW_PAIRS(C, D) + HIGH_PAIRS(C, D);
   *(Four *)out = LOW_HALVES(ab, cd) + HIGH_HALVES(ab, cd);
+}
+
+// The sums of eight at once.
+INLINE void store_eight_sums(float *out, const Floats *a) {
+#if DRSPLAT_AVX512
+  const auto halved = [](__m512 p, __m512 q) {
+    return _mm512_add_ps(_mm512_shuffle_f32x4(p, q, 0x88), _mm512_shuffle_f32x4(p, q, 0xdd));
+  };
+  __m512 four[2];
+  for (int i = 0; i < 2; i++, a += 4)
+    four[i] =
+        halved(halved((__m512)a[0].part[0], (__m512)a[1].part[0]), halved((__m512)a[2].part[0], (__m512)a[3].part[0]));
+  const __m512 pairs = _mm512_add_ps(_mm512_unpacklo_ps(four[0], four[1]), _mm512_unpackhi_ps(four[0], four[1]));
+  const __m512 sums = _mm512_add_ps(pairs, _mm512_permute_ps(pairs, 0x4e));
+  const __m512i order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 0, 0, 0, 0, 0, 0, 0, 0);
+  _mm256_storeu_ps(out, _mm512_castps512_ps256(_mm512_permutexvar_ps(order, sums)));
+#else
+  store_sums(out, a[0], a[1], a[2], a[3]), store_sums(out + 4, a[4], a[5], a[6], a[7]);
+#endif
 }
 
 INLINE Floats floor_of(Floats a) {  // |a| < 2^31

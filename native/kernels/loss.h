@@ -1,6 +1,6 @@
 // The photometric loss of 3DGS, (1 - w) L1 + w (1 - SSIM), with its gradient.
 #pragma once
-#include "kernels/projection.h"
+#include "kernels/lanes.h"
 
 namespace drsplat::DRSPLAT_ISA {
 
@@ -24,13 +24,6 @@ INLINE Floats first_lanes(Floats a, int n) {
   store(kept, a);
   for (int i = n; i < 16; i++) kept[i] = 0;
   return load(kept);
-}
-
-INLINE void store_first(float *p, Floats a, int n) {
-  if (n >= 16) return store(p, a);
-  float all[16];
-  store(all, a);
-  memcpy(p, all, (size_t)n * sizeof(float));
 }
 
 // Rows of pixels have their three colours side by side: what is one pixel away lies three numbers away, and a blur
@@ -136,8 +129,8 @@ static inline double gradient_row(const Window &g, const RecentRows &slopes, con
     const Floats difference = a - b, none = splat(0.f);
     const Floats up = keep(none < difference, splat(1.f)), down = keep(difference < none, splat(1.f));
     total = total + maximum(difference, -difference);
-    store_first(gradient + first + x,
-                l1 * (up - down) + structure * (blurred[0] + 2.f * (a * blurred[1]) + b * blurred[2]), n);
+    store_some(gradient + first + x,
+               l1 * (up - down) + structure * (blurred[0] + 2.f * (a * blurred[1]) + b * blurred[2]), (uint32_t)n);
   }
   return (double)sum(total);
 }

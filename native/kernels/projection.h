@@ -8,12 +8,6 @@ constexpr float kMinAlpha = 1.f / 255, kBlur = 0.3f, kLog2E = 1.44269504f;
 constexpr float kLog2MinAlpha = -7.99435344f;
 constexpr float kCullSlack = 1e-4f;  // keeps every cull on the safe side of float rounding
 
-INLINE Floats load_some(const float *p, uint32_t n) {
-  if (n >= 16) return load(p);
-  float padded[16] = {};
-  memcpy(padded, p, n * sizeof(float));
-  return load(padded);
-}
 INLINE Floats clamp(Floats a, float low, float high) { return minimum(maximum(a, splat(low)), splat(high)); }
 
 // |x / z| beyond which the Jacobian is that at the bound: 1.3 times the field of view, symmetric about the axis.

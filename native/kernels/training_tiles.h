@@ -3,14 +3,30 @@
 // and the stop at 1e-4.
 #pragma once
 #include "kernels/compositing.h"
+#include "kernels/group.h"
 
 namespace drsplat::DRSPLAT_ISA {
+
+constexpr int kSide = 4;  // of a block: a splat touches fewer of 4x4 pixels than of 8x2
+
+// Of a block's pixels in the image, visit(lane, which pixel of the image).
+template <class Visit>
+INLINE void each_pixel(const Tile &tile, int left, int top, Visit visit) {
+  const int width = tile.width - left, height = tile.height - top;
+  const size_t first = (size_t)top * tile.width + left;
+  if (width >= kSide && height >= kSide) {
+    for (int l = 0; l < 16; l++) visit(l, first + (size_t)(l / kSide) * tile.width + l % kSide);
+    return;
+  }
+  for (int l = 0; l < 16; l++)
+    if (l % kSide < width && l / kSide < height) visit(l, first + (size_t)(l / kSide) * tile.width + l % kSide);
+}
 
 // colors: 3 per splat. image (height, width, 3), alpha (height, width). blocks: of each list entry, a bit for each
 // block of which it reaches a ray, which is where the way back finds something to do.
 static void tile_forward(const Tile &tile, const float *colors, const float *background, TileScratch &scratch,
                          float *image, float *alpha, uint16_t *blocks) {
-  Walk walk(tile, scratch, colors);
+  Walk walk(tile, scratch, colors, kSide);
   memset(blocks, 0, tile.count * sizeof(uint16_t));
   for (int b = 0; b < kBlocks; b++) {
     const auto [left, top, inside] = pixels_of(walk, b);
@@ -22,10 +38,13 @@ static void tile_forward(const Tile &tile, const float *colors, const float *bac
           blocks[i] = (uint16_t)(blocks[i] | (uint32_t)any(reached) << b);
           red = red + w * splat(color[0]), green = green + w * splat(color[1]), blue = blue + w * splat(color[2]);
         });
-    write_lanes(image, tile, left, top, inside, 3, red + rest * splat(background[0]));
-    write_lanes(image + 1, tile, left, top, inside, 3, green + rest * splat(background[1]));
-    write_lanes(image + 2, tile, left, top, inside, 3, blue + rest * splat(background[2]));
-    write_lanes(alpha, tile, left, top, inside, 1, splat(1.f) - rest);
+    float columns[4][16];
+    store(columns[0], red + rest * splat(background[0])), store(columns[1], green + rest * splat(background[1]));
+    store(columns[2], blue + rest * splat(background[2])), store(columns[3], splat(1.f) - rest);
+    each_pixel(tile, left, top, [&](int l, size_t pixel) __attribute__((always_inline)) {
+      for (int c = 0; c < 3; c++) image[3 * pixel + c] = columns[c][l];
+      alpha[pixel] = columns[3][l];
+    });
   }
 }
 
@@ -36,24 +55,18 @@ struct BlockState {              // 16 pixels during the backward walk
 };
 
 static inline void start_blocks(const Walk &walk, const float *image, const float *gradient, BlockState *states) {
-  const Tile &tile = walk.tile;
-  for (int b = 0; b < kBlocks; b++) {
-    float t[16], behind[16], g[3][16];
-    for (int l = 0; l < 16; l++) {
-      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth,
-                y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
-      const bool inside = x < tile.width && y < tile.height;
-      const size_t pixel = inside ? ((size_t)y * tile.width + x) * 3 : 0;
-      t[l] = inside, behind[l] = 0;
-      for (int c = 0; c < 3; c++) {
-        g[c][l] = inside ? gradient[pixel + c] : 0.f;
-        behind[l] += inside ? image[pixel + c] * g[c][l] : 0.f;
-      }
-    }
-    const Points centres = centres_of(walk, b);
-    states[b] = {centres.x, centres.y, load(t), load(behind), load(g[0]), load(g[1]), load(g[2])};
-  }
   const Floats none = splat(0.f);
+  for (int b = 0; b < kBlocks; b++) {
+    const auto [left, top, inside] = pixels_of(walk, b);
+    const Points centres = centres_of(walk, b);
+    float columns[6][16] = {};
+    each_pixel(walk.tile, left, top, [&](int l, size_t pixel) __attribute__((always_inline)) {
+      for (int c = 0; c < 3; c++) columns[c][l] = image[3 * pixel + c], columns[3 + c][l] = gradient[3 * pixel + c];
+    });
+    const Floats red = load(columns[3]), green = load(columns[4]), blue = load(columns[5]);
+    const Floats behind = load(columns[0]) * red + load(columns[1]) * green + load(columns[2]) * blue;
+    states[b] = {centres.x, centres.y, keep(inside, splat(1.f)), behind, red, green, blue};
+  }
   states[kBlocks] = {none, none, none, none, none, none, none};
 }
 
@@ -92,21 +105,25 @@ INLINE void pass_splat(const Splat &g, const float *color, BlockState *const *bl
   }
 }
 
-// Sums over the tile's pixels for every list entry, kSplatSums each: dL/d(colour), then with
+// Sums over the tile's pixels for every list entry, kSplatSums in a row of its own: dL/d(colour), then with
 // G = dL/d(ln alpha): G, G dx, G dy, G dx^2, G dx dy, G dy^2, d = pixel - centre. blocks: of tile_forward.
 //
 // dL/d(alpha_i) = T_i (c_i . g) - (what is behind i) / (1 - alpha_i), and what is behind i is the pixel's
 // value less what was composited up to i: so one walk front to back, without a record, is enough.
-static void tile_backward(const Tile &tile, const uint16_t *blocks, const float *colors, const float *image,
-                          const float *gradient, TileScratch &scratch, float *sums) {
-  memset(sums, 0, (size_t)tile.count * kSplatSums * sizeof(float));
+static void tile_backward(const Tile &tile, const uint16_t *blocks, const uint32_t *rows, const float *colors,
+                          const float *image, const float *gradient, TileScratch &scratch, float *sums) {
   if (!tile.count) return;
   BlockState states[kBlocks + 1];  // the last: one that no light reaches
-  start_blocks(Walk(tile, scratch), image, gradient, states);
+  start_blocks(Walk(tile, scratch, nullptr, kSide), image, gradient, states);
   for (uint32_t i = 0; i < tile.count; i++) {
     fetch_splat(tile, colors, i + kSplatsAhead);
+    if (i + kAhead < tile.count) __builtin_prefetch(sums + (size_t)rows[i + kAhead] * kSplatSums, 1);
     uint32_t reached = blocks[i];
-    if (!reached) continue;
+    float *out = sums + (size_t)rows[i] * kSplatSums;
+    if (!reached) {
+      memset(out, 0, kSplatSums * sizeof(float));
+      continue;
+    }
     const Splat &g = tile.splats[tile.list[i]];
     const float *color = colors + 3 * (size_t)tile.list[i];
     Floats total[kSplatSums];
@@ -119,9 +136,7 @@ static void tile_backward(const Tile &tile, const uint16_t *blocks, const float 
       }
       pass_splat(g, color, passed, total);
     }
-    float *out = sums + (size_t)i * kSplatSums;
-    store_sums(out, total[0], total[1], total[2], total[3]),
-        store_sums(out + 4, total[4], total[5], total[6], total[7]);
+    store_eight_sums(out, total);
     out[8] = sum(total[8]);
   }
 }

@@ -39,10 +39,17 @@ def trained() -> list[np.ndarray]:
     _, _, slope = _native.photometric_loss(image, np.zeros_like(image), 0.2, INSIDE, "")
     gradients = [np.array(column) for column in view.backward(image, slope)]
     moments = np.zeros(1500, "f"), np.zeros(1500, "f")
-    stepped = arrays[0].reshape(-1).copy()
+    stepped, sh, sh_moments = (
+        arrays[0].reshape(-1).copy(),
+        arrays[4].copy(),
+        (np.zeros((500, 4, 3), "f"), floats(500, 4, 3) ** 2),
+    )
+    view = _native.training_pass(*arrays[:4], sh, *how)
+    view.forward()
+    view.backward_and_step(image, slope, sh, *sh_moments, 1e-3, 1, 0.9, 0.999, 1e-15, 1e-2)
     rates = 1e-3, 1, 0.9, 0.999, 1e-15, 0.0, 0
     _native.adam_step(stepped, gradients[0].reshape(-1), *moments, *rates, INSIDE, "")
-    return [image, alpha, *gradients, stepped, *moments]
+    return [image, alpha, *gradients, stepped, *moments, sh, *sh_moments]
 
 
 def photographed() -> list[np.ndarray]:

@@ -340,7 +340,8 @@ def training(rogue: Rogue) -> Call:
     scene = rogue.spoiled(means), rogue.spoiled(scales), rogue.floats(n, 4), rogue.floats(n)
     given = *scene, rogue.floats(n, k, 3), n % 2 == 1, camera(rogue, width, height), width, height
     gradient = rogue.floats(height, width, 3)
-    order = rogue.one(("fb", "b", "ffb", "fbb", "fbf", "bfb", "f"))
+    order = rogue.one(("fb", "b", "ffb", "fbb", "fbf", "bfb", "f", "fs", "s", "fsb"))
+    moments = rogue.floats(n, k, 3), rogue.floats(n, rogue.one((k, 1)), 3)
 
     def call() -> None:
         view = _native.training_pass(*given, rogue.one((0, 1, k, k + 1)), np.ones(3, "f"), *rogue.how())
@@ -349,6 +350,9 @@ def training(rogue: Rogue) -> Call:
             try:
                 if step == "f":
                     image, _ = view.forward()
+                elif step == "s":
+                    slope = gradient if image is None else image, gradient
+                    gradients = view.backward_and_step(*slope, given[4], *moments, 1e-3, 1, 0.9, 0.999, 1e-15, 1e-2)
                 else:
                     gradients = view.backward(gradient if image is None else image, gradient)
             except REFUSALS:

@@ -206,7 +206,8 @@ class Run:
         if unused is not None:
             loss.gradient[unused] = 0
         self._lap("loss")
-        gradients = drawn.backward(loss.gradient)
+        step = self.optimizer.harmonics_step(self._rates(), self.iteration)
+        gradients = drawn.backward(loss.gradient, step)
         if photo.left_out is not None:
             # Gaussians that only left-out pixels show are unseen: density control counts who is seen
             gradients = gradients._replace(radii=np.where(gradients.screen > 0, gradients.radii, np.float32(0)))
