@@ -78,21 +78,12 @@ GradientArrays TrainingPass::backward(const float *image, const float *image_gra
 
 LossValue photometric_loss(const Kernels &kernels, const float *image, const float *target, int width, int height,
                            float ssim_weight, int threads, float *gradient) {
-  const size_t stride = ((size_t)width + 15) / 16 * 16;
-  static thread_local Kept<float> planes;  // kept: fresh pages cost more than the work
-  grow(planes, 21 * stride * (size_t)height);
-  std::vector<std::vector<float>> scratch(threads, std::vector<float>(4 * (stride + 32)));
-  std::vector<double> l1_rows(3 * (size_t)height), ssim_rows(3 * (size_t)height);
-  float *const all_planes = planes.data();
-  const auto each_band = [&](auto work) {
-    over_parts(height, threads, [&](int t, int begin, int end) {
-      work(LossPlanes{all_planes, scratch[t].data(), width, height, stride}, begin, end);
-    });
-  };
-  each_band([&](const LossPlanes &p, int begin, int end) { kernels.ssim_rows(image, target, p, begin, end); });
-  each_band([&](const LossPlanes &p, int begin, int end) { kernels.ssim_partials(p, begin, end, ssim_rows.data()); });
-  each_band([&](const LossPlanes &p, int begin, int end) {
-    kernels.loss_gradient(image, target, p, ssim_weight, begin, end, gradient, l1_rows.data());
+  std::vector<double> l1_rows(height), ssim_rows(height);
+  over_parts(height, threads, [&](int, int begin, int end) {
+    static thread_local Kept<float> scratch;
+    grow(scratch, loss_scratch(width));
+    kernels.loss_rows({image, target, width, height, ssim_weight}, scratch.data(), begin, end, gradient, l1_rows.data(),
+                      ssim_rows.data());
   });
   LossValue value = {0, 0};
   for (double x : l1_rows) value.l1 += x;

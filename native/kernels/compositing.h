@@ -56,10 +56,16 @@ INLINE Points centres_of(const Walk &w, int block) {  // of its pixels
 
 INLINE Points offsets(const Points &pixels, const Splat &g) { return {pixels.x - splat(g.x), pixels.y - splat(g.y)}; }
 
-// 0 where it is less than 1/255.
-INLINE Floats alpha_at(const Splat &g, const Points &d) {
-  const Floats p = (splat(g.xx) * d.x + splat(g.xy) * d.y) * d.x + (splat(g.yy) * d.y * d.y + splat(g.log2_opacity));
-  return keep(p >= splat(kLog2MinAlpha), minimum(exp2_of(p), splat(kMaxAlpha)));
+// Of each splat at sixteen pixels, 0 where it is less than 1/255.
+template <int kCount>
+INLINE void alphas_at(const Splat *const *splats, const Points *d, Floats *alphas) {
+  Floats p[kCount];
+  for (int i = 0; i < kCount; i++) p[i] = splat(splats[i]->xx) * d[i].x + splat(splats[i]->xy) * d[i].y;
+  for (int i = 0; i < kCount; i++)
+    p[i] = p[i] * d[i].x + (splat(splats[i]->yy) * d[i].y * d[i].y + splat(splats[i]->log2_opacity));
+  for (int i = 0; i < kCount; i++) alphas[i] = p[i];
+  exp2_of_each<kCount>(alphas);
+  for (int i = 0; i < kCount; i++) alphas[i] = keep(p[i] >= splat(kLog2MinAlpha), minimum(alphas[i], splat(kMaxAlpha)));
 }
 
 // Exact test of one splat against all blocks: the largest log2(alpha) over each block's rectangle of
@@ -112,7 +118,8 @@ static inline uint32_t candidates(const Walk &w, int block, uint32_t begin, uint
   return n;
 }
 
-constexpr uint32_t kBetweenChecks = 8;  // visits
+constexpr uint32_t kBetweenChecks = 8;               // visits
+constexpr uint32_t kTogether = kParts == 1 ? 4 : 1;  // splats whose alphas are found at once, as registers allow
 
 struct Never {
   __attribute__((always_inline)) bool operator()(Floats) const { return false; }
@@ -142,13 +149,17 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
     look_ahead(w, end);
     uint32_t *chunk = begin_chunk(end - at);
     const uint32_t n = candidates(w, block, at, end, chunk);
-    for (uint32_t j = 0; j < n;) {
-      if (!any(before) || ends(transmittance)) return last;
-      const uint32_t stop = j + kBetweenChecks < n ? j + kBetweenChecks : n;
-      for (; j < stop; j++) {
-        const Splat &g = tile.splats[tile.list[chunk[j]]];
-        const Floats alpha = alpha_at(g, offsets(pixels, g));
-        const Floats weight = transmittance * alpha, after = transmittance - weight;
+    for (uint32_t i = n; i % kTogether; i++) chunk[i] = chunk[n - 1];
+    for (uint32_t j = 0; j < n; j += kTogether) {
+      if (j % kBetweenChecks == 0 && (!any(before) || ends(transmittance))) return last;
+      const Splat *splats[kTogether];
+      Points d[kTogether];
+      Floats alphas[kTogether];
+      for (uint32_t i = 0; i < kTogether; i++) splats[i] = &tile.splats[tile.list[chunk[j + i]]];
+      for (uint32_t i = 0; i < kTogether; i++) d[i] = offsets(pixels, *splats[i]);
+      alphas_at<kTogether>(splats, d, alphas);
+      for (uint32_t i = 0; i < kTogether && j + i < n; i++) {
+        const Floats weight = transmittance * alphas[i], after = transmittance - weight;
         Mask live = after >= splat(kMinTransmittance);
         Floats kept = keep(live, weight);
         if (first_hits) {
@@ -156,7 +167,7 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
           live = live & !(splat_int(first_hits) < hits);
           kept = keep(live, kept);
         }
-        visit(chunk[j], kept, before & (splat(0.f) < weight));
+        visit(chunk[j + i], kept, before & (splat(0.f) < weight));
         before = live;
         last = select(live, after, last);
         transmittance = first_hits ? keep(live, after) : after;

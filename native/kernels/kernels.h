@@ -113,11 +113,14 @@ struct GradientArrays {  // as Parameters; zero where a Gaussian is not seen
   float *means, *log_scales, *quats, *logits, *sh, *screen, *radii;
 };
 
-struct LossPlanes {  // seven planes of each channel, rows padded to whole vectors
-  float *planes, *scratch;
+struct LossImages {
+  const float *image, *target;
   int32_t width, height;
-  size_t stride;
+  float ssim_weight;
 };
+constexpr size_t kLossRow = 32;  // numbers of a padded row beyond its colours
+inline size_t loss_stride(int32_t width) { return ((size_t)width * 3 + 15) / 16 * 16; }
+inline size_t loss_scratch(int32_t width) { return 81 * loss_stride(width) + 4 * kLossRow; }
 
 struct AdamStep {
   float rate, beta1, beta2, root_correction, epsilon;
@@ -167,10 +170,7 @@ struct Kernels {
                         const float *gradient, TileScratch &, float *sums);
   void (*splats_backward)(const Visible &, const Sums &, const Parameters &, const Camera &, int32_t active,
                           const float *center, const GradientArrays &);
-  void (*ssim_rows)(const float *image, const float *target, const LossPlanes &, int row_begin, int row_end);
-  void (*ssim_partials)(const LossPlanes &, int row_begin, int row_end, double *row_sums);
-  void (*loss_gradient)(const float *image, const float *target, const LossPlanes &, float ssim_weight, int row_begin,
-                        int row_end, float *gradient, double *row_sums);
+  void (*loss_rows)(const LossImages &, float *scratch, int begin, int end, float *gradient, double *l1, double *ssim);
   void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end,
                const AdamStep &);
 

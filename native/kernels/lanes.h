@@ -245,24 +245,32 @@ INLINE Floats floor_of(Floats a) {  // |a| < 2^31
 
 // 2^p for p in [-126, 127], relative error 2e-7: minimax polynomial of 2^f on |f| <= 1/2 after rounding
 // p to the nearest integer, which the addition of 1.5 * 2^23 leaves in the low mantissa bits. Forbids
-// -ffast-math.
-INLINE Floats exp2_of(Floats p) {
+// -ffast-math. Of several numbers step by step, since each step of one waits for the one before.
+template <int kCount>
+INLINE void exp2_of_each(Floats *p) {
+  constexpr float kPolynomial[] = {9.67554189e-3f, 5.55071309e-2f, 2.40221202e-1f, 6.93146944e-1f, 1.f};
+  Floats t[kCount], f[kCount], r[kCount];
 #if DRSPLAT_AVX512  // the same bits in fewer instructions
-  const Floats whole = {{(FloatPart)_mm512_roundscale_ps((__m512)p.part[0], _MM_FROUND_TO_NEAREST_INT)}};
+  for (int i = 0; i < kCount; i++)
+    t[i] = {{(FloatPart)_mm512_roundscale_ps((__m512)p[i].part[0], _MM_FROUND_TO_NEAREST_INT)}};
+  for (int i = 0; i < kCount; i++) f[i] = p[i] - t[i];
 #else
-  const Floats magic = splat(12582912.f), t = p + magic, whole = t - magic;
+  for (int i = 0; i < kCount; i++) t[i] = p[i] + splat(12582912.f);
+  for (int i = 0; i < kCount; i++) f[i] = p[i] - (t[i] - splat(12582912.f));
 #endif
-  const Floats f = p - whole;
-  Floats r = splat(1.32764713e-3f) * f + splat(9.67554189e-3f);
-  r = r * f + splat(5.55071309e-2f);
-  r = r * f + splat(2.40221202e-1f);
-  r = r * f + splat(6.93146944e-1f);
-  r = r * f + splat(1.f);
+  for (int i = 0; i < kCount; i++) r[i] = splat(1.32764713e-3f);
+  for (float coefficient : kPolynomial)
+    for (int i = 0; i < kCount; i++) r[i] = r[i] * f[i] + splat(coefficient);
 #if DRSPLAT_AVX512
-  return {{(FloatPart)_mm512_scalef_ps((__m512)r.part[0], (__m512)whole.part[0])}};
+  for (int i = 0; i < kCount; i++) p[i] = {{(FloatPart)_mm512_scalef_ps((__m512)r[i].part[0], (__m512)t[i].part[0])}};
 #else
-  return float_of_bits(bits_of(r) + shift_left(bits_of(t), 23));
+  for (int i = 0; i < kCount; i++) p[i] = float_of_bits(bits_of(r[i]) + shift_left(bits_of(t[i]), 23));
 #endif
+}
+
+INLINE Floats exp2_of(Floats p) {
+  exp2_of_each<1>(&p);
+  return p;
 }
 
 // log2(a) for normal a > 0, absolute error 1e-7 times the exponent's size: a = m * 2^e with m in

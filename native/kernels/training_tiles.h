@@ -53,6 +53,43 @@ static inline void start_blocks(const Walk &walk, const float *image, const floa
     const Points centres = centres_of(walk, b);
     states[b] = {centres.x, centres.y, load(t), load(behind), load(g[0]), load(g[1]), load(g[2])};
   }
+  const Floats none = splat(0.f);
+  states[kBlocks] = {none, none, none, none, none, none, none};
+}
+
+// Blocks that a splat passes together, as registers allow: each step in one waits for the one before.
+constexpr int kBlocksTogether = kParts == 1 ? 2 : 1;
+
+// Brings some blocks behind a splat and adds what it does there to `total`, kSplatSums of them.
+INLINE void pass_splat(const Splat &g, const float *color, BlockState *const *blocks, Floats *total) {
+  constexpr int n = kBlocksTogether;
+  const Splat *splats[n];
+  Points d[n];
+  Floats alpha[n], transmittance[n], w[n], shade[n], behind[n], slope[n], G[n];
+  for (int b = 0; b < n; b++) splats[b] = &g, d[b] = offsets({blocks[b]->x, blocks[b]->y}, g);
+  alphas_at<n>(splats, d, alpha);
+  Mask live[n];
+  for (int b = 0; b < n; b++) transmittance[b] = blocks[b]->transmittance;
+  for (int b = 0; b < n; b++) {
+    const Floats weight = transmittance[b] * alpha[b], after = transmittance[b] - weight;
+    blocks[b]->transmittance = after;
+    live[b] = after >= splat(kMinTransmittance);
+    w[b] = keep(live[b], weight);
+  }
+  for (int b = 0; b < n; b++)
+    shade[b] =
+        blocks[b]->red * splat(color[0]) + blocks[b]->green * splat(color[1]) + blocks[b]->blue * splat(color[2]);
+  for (int b = 0; b < n; b++) blocks[b]->behind = behind[b] = blocks[b]->behind - w[b] * shade[b];
+  for (int b = 0; b < n; b++)  // dL/d(alpha)
+    slope[b] = transmittance[b] * shade[b] - behind[b] * reciprocal(splat(1.f) - alpha[b]);
+  for (int b = 0; b < n; b++) G[b] = keep(live[b] & (alpha[b] < splat(kMaxAlpha)), slope[b] * alpha[b]);
+  for (int b = 0; b < n; b++) {
+    const Floats gx = G[b] * d[b].x, gy = G[b] * d[b].y;
+    add_to(total[0], w[b] * blocks[b]->red), add_to(total[1], w[b] * blocks[b]->green),
+        add_to(total[2], w[b] * blocks[b]->blue);
+    add_to(total[3], G[b]), add_to(total[4], gx), add_to(total[5], gy);
+    add_to(total[6], gx * d[b].x), add_to(total[7], gx * d[b].y), add_to(total[8], gy * d[b].y);
+  }
 }
 
 // Sums over the tile's pixels for every list entry, kSplatSums each: dL/d(colour), then with
@@ -64,7 +101,7 @@ static void tile_backward(const Tile &tile, const uint16_t *blocks, const float 
                           const float *gradient, TileScratch &scratch, float *sums) {
   memset(sums, 0, (size_t)tile.count * kSplatSums * sizeof(float));
   if (!tile.count) return;
-  BlockState states[kBlocks];
+  BlockState states[kBlocks + 1];  // the last: one that no light reaches
   start_blocks(Walk(tile, scratch), image, gradient, states);
   for (uint32_t i = 0; i < tile.count; i++) {
     fetch_splat(tile, colors, i + kSplatsAhead);
@@ -74,22 +111,13 @@ static void tile_backward(const Tile &tile, const uint16_t *blocks, const float 
     const float *color = colors + 3 * (size_t)tile.list[i];
     Floats total[kSplatSums];
     for (Floats &t : total) t = splat(0.f);
-    for (; reached; reached &= reached - 1) {
-      BlockState &s = states[__builtin_ctz(reached)];
-      const Points d = offsets({s.x, s.y}, g);
-      const Floats alpha = alpha_at(g, d);
-      const Floats weight = s.transmittance * alpha, after = s.transmittance - weight;
-      const Mask live = after >= splat(kMinTransmittance);
-      const Floats w = keep(live, weight);
-      const Floats shade = s.red * splat(color[0]) + s.green * splat(color[1]) + s.blue * splat(color[2]);
-      const Floats behind = s.behind - w * shade;
-      const Floats slope = s.transmittance * shade - behind * reciprocal(splat(1.f) - alpha);  // dL/d(alpha)
-      const Floats G = keep(live & (alpha < splat(kMaxAlpha)), slope * alpha);
-      s.transmittance = after, s.behind = behind;
-      const Floats gx = G * d.x, gy = G * d.y;
-      add_to(total[0], w * s.red), add_to(total[1], w * s.green), add_to(total[2], w * s.blue);
-      add_to(total[3], G), add_to(total[4], gx), add_to(total[5], gy);
-      add_to(total[6], gx * d.x), add_to(total[7], gx * d.y), add_to(total[8], gy * d.y);
+    while (reached) {
+      BlockState *passed[kBlocksTogether];
+      for (BlockState *&block : passed) {
+        block = &states[reached ? __builtin_ctz(reached) : kBlocks];
+        reached &= reached - 1;
+      }
+      pass_splat(g, color, passed, total);
     }
     float *out = sums + (size_t)i * kSplatSums;
     store_sums(out, total[0], total[1], total[2], total[3]),
