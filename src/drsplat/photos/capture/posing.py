@@ -70,7 +70,7 @@ def descriptors_of(database: sqlite3.Connection, name: str) -> Descriptors:
     """Return the SIFT descriptors of a photo, of length 512, those of the smallest features first."""
     query = "SELECT rows, cols, data FROM descriptors JOIN images USING (image_id) WHERE name = ?"
     rows, columns, data = database.execute(query, (name,)).fetchone() or (0, 128, b"")
-    return np.frombuffer(data, np.uint8).reshape(rows, columns)
+    return np.frombuffer(data or b"", np.uint8).reshape(rows, columns)  # of a photo without features: NULL
 
 
 FEATURES_SIDE_PIXELS = 1200  # longer side of photos for finding features
