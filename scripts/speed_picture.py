@@ -7,10 +7,10 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from html import escape
+from pathlib import Path
 from typing import NamedTuple
 
-from .made_tables import DOCS
-
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE, PICTURE = DOCS / "speed.md", DOCS / "images" / "speed.svg"
 HEAD = "| stage | drsplat | rival | what the rival is |"
 SECONDS = {"µs": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -48,7 +48,7 @@ def _seconds(text: str) -> float:
 def drawn(rows: Sequence[Stage]) -> str:
     """Return the picture as SVG."""
     times = [time for row in rows for time in (row.ours, row.theirs) if time]
-    low, high = math.floor(math.log10(min(times))), math.ceil(math.log10(max(times)))
+    low, high = math.floor(math.log10(min(times) / 2)), math.ceil(math.log10(max(times)))
     height = TOP + ROW * len(rows) + 8
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" font-family="sans-serif" '
@@ -64,7 +64,8 @@ def drawn(rows: Sequence[Stage]) -> str:
 
 
 def _bars(row: Stage, top: int, low: int, high: int) -> Iterator[str]:
-    yield f'<text x="{LEFT - 12}" y="{top + 20}" fill="{INK}" text-anchor="end">{escape(row.name)}</text>'
+    middle = top + (20 if row.theirs is not None else 12)
+    yield f'<text x="{LEFT - 12}" y="{middle}" fill="{INK}" text-anchor="end">{escape(row.name)}</text>'
     bars = [(row.ours, OURS, _told(row.ours))]
     if row.theirs is not None:
         bars.append((row.theirs, THEIRS, f"{_told(row.theirs)} {row.rival}"))
