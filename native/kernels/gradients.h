@@ -111,21 +111,22 @@ static inline int color_gradients(const Group &group, const Parameters &p, int32
   return used;
 }
 
-static inline void step_unseen(int width, int stride, const HarmonicsStep &step, uint32_t begin, uint32_t end) {
+static inline void step_unseen(int width, int stride, const HarmonicsStep &step, const AdamLanes &adam, uint32_t begin,
+                               uint32_t end) {
   for (size_t at = begin * (size_t)stride; at < end * (size_t)stride; at += (size_t)stride)
-    step_row(step.sh + at, nullptr, step.first + at, step.second + at, width, step.adam);
+    step_row(step.sh + at, nullptr, step.first + at, step.second + at, (uint32_t)width, adam);
 }
 
 // Steps the harmonics of a group's splats, and of the unseen Gaussians from `next` up to them.
 static inline void step_harmonics(const Group &group, const float (*columns)[16], int width, int stride,
-                                  const HarmonicsStep &step, uint32_t &next) {
+                                  const HarmonicsStep &step, const AdamLanes &adam, uint32_t &next) {
   float rows[16][kMostColors], *at[16];
   for (int l = 0; l < 16; l++) at[l] = rows[l];
   scatter_rows(columns, width, at);
   for (int l = 0; l < group.count; l++) {
-    step_unseen(width, stride, step, next, (uint32_t)group.ids[l]);
+    step_unseen(width, stride, step, adam, next, (uint32_t)group.ids[l]);
     const size_t first = group.ids[l] * (size_t)stride;
-    step_row(step.sh + first, rows[l], step.first + first, step.second + first, width, step.adam);
+    step_row(step.sh + first, rows[l], step.first + first, step.second + first, (uint32_t)width, adam);
     next = (uint32_t)group.ids[l] + 1;
   }
 }
@@ -193,6 +194,7 @@ static void splats_backward(const Visible &v, const float *tile_sums, const Para
                             int32_t active, const float *center, const GradientArrays &out, const HarmonicsStep *step) {
   float unused[kMostColors];
   const int stride = 3 * p.coefficients;
+  const AdamLanes adam(step ? step->adam : AdamStep{});
   uint32_t next = v.begin;  // of the Gaussians whose harmonics are to be stepped
   int width = 3 * active;
   for (uint32_t first = 0; first < v.count; first += 16) {
@@ -205,11 +207,11 @@ static void splats_backward(const Visible &v, const float *tile_sums, const Para
     LaneGradients g = splat_gradients(s, cam);
     float sh[kMostColors][16];
     width = 3 * color_gradients(group, p, active, center, s, g, sh);
-    if (step) step_harmonics(group, sh, width, stride, *step, next);
+    if (step) step_harmonics(group, sh, width, stride, *step, adam, next);
     else group.scatter(sh, stride, width, out.sh);
     store_gradients(group, g, out);
   }
-  if (step) step_unseen(width, stride, *step, next, v.end);
+  if (step) step_unseen(width, stride, *step, adam, next, v.end);
 }
 
 }  // namespace drsplat::DRSPLAT_ISA
