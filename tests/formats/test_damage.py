@@ -208,8 +208,8 @@ def test_a_codebook_of_ours_is_checked_whole(tmp_path):
 
 
 def test_sums_of_any_bytes_are_those_of_zlib():
-    """Few bytes go by tables, many by products of polynomials; they may begin anywhere, and go on from others."""
-    content = default_rng(0).integers(0, 256, 70_000, np.uint8).tobytes()
+    """Few bytes go by tables, many by products of polynomials, millions on threads; they may go on from others."""
+    content = default_rng(0).integers(0, 256, 9_000_000, np.uint8).tobytes()
     for size in (*range(200), 1023, 4096, len(content) - 1):
         for value in (0, 1, 0xFFFFFFFF, 0x12345678):
             part = memoryview(content)[size % 2 :][:size]
