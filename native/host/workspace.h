@@ -25,7 +25,7 @@ struct Worker {
   TileScratch scratch;
   Triples triples;
   MergedTriples merged;
-  Kept<uint32_t> spans, tile_counts, digit_counts;
+  Kept<uint32_t> row_counts, tile_counts, digit_counts;
 };
 
 // What one view needs between projecting its splats and visiting its tiles, kept for the next one: fresh pages cost as
@@ -34,7 +34,8 @@ struct Workspace {
   Kept<Splat> projected, splats;
   Kept<Extent> projected_extents, extents;
   Kept<uint64_t> keys, other_keys;
-  Kept<uint32_t> list, tile_start;
+  Kept<TileSpan> spans;  // row after row, front to back
+  Kept<uint32_t> list, row_start, tile_start, tile_next;
   Kept<Triple> triples, other_triples;
   // For the way back, if asked: how many each thread projected, in index order; the depth rank of each,
   // and where its rows of sums begin, one for each tile; of each entry of `list`, its row.
@@ -45,6 +46,8 @@ struct Workspace {
   int columns = 0, rows = 0;
   uint32_t visible = 0;
 };
+
+void release_idle();  // gives back the memory of workspaces that nobody uses
 
 class Lease {  // a workspace nobody else is using
  public:

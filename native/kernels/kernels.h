@@ -39,6 +39,13 @@ struct Extent {
   int16_t x0, x1, y0, y1;
 };
 
+// Tiles of one row that a splat may touch: columns [first, last), none where that is empty.
+struct TileSpan {
+  uint32_t splat;
+  uint16_t first, last;
+  uint32_t before;  // tiles of the splat in rows above
+};
+
 struct Triples {  // structure of arrays, grown together
   Buffer gaussian_ids, segment_ids, weights;
   size_t size = 0;
@@ -146,8 +153,7 @@ struct PhotoKernels;    // photo_kernels.h
 struct Kernels {
   const char *name;
   uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
-  uint32_t *(*tile_spans)(const Splat *, const Extent *, uint32_t count, int32_t columns, uint32_t *spans,
-                          uint32_t *changes);
+  void (*tile_spans)(const Splat *, const Extent *, uint32_t begin, uint32_t end, TileSpan *, uint32_t *next);
   void (*tile_weights)(const Tile &, const Selection &, const int32_t *segment_ids, TileScratch &, Triples &);
   void (*tile_contributions)(const Tile &, const Selection &, TileScratch &, int32_t *ids, float *weights);
   void (*tile_render)(const Tile &, const float *values, int32_t channels, const float *background, TileScratch &,
