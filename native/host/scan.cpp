@@ -10,8 +10,8 @@
 namespace drsplat {
 namespace {
 
-constexpr uint64_t kBlockRows = 16 * kPairRows;       // handed to a thread at once
-constexpr uint64_t kManyBlockRows = 128 * kPairRows;  // the same where tables of many queries pass by
+constexpr uint64_t kBlockRows = 4 * kSumRows;       // handed to a thread at once
+constexpr uint64_t kManyBlockRows = 32 * kSumRows;  // the same where tables of many queries pass by
 
 // A prepared scan.
 struct Scan {
@@ -38,20 +38,20 @@ struct Scan {
     return tables.coarse ? tables.coarse + (size_t)query * tables.coarse_count : nullptr;
   }
 
-  // work(thread, block, first query, queries, first row, rows, sums) for every pair of groups and every tile of
+  // work(thread, block, first query, queries, first row, rows, sums) for kSumRows at a time and every tile of
   // queries, in their order.
   template <class Work>
   void run(int threads, Work work) const {
     std::vector<Buffer> scratch(threads), sums(threads);
     over_rows(rows.rows, block_rows, threads, [&](int thread, uint64_t begin, uint64_t end) {
       reserve(scratch[thread], kernels.scratch_bytes(rows.subvectors));
-      reserve(sums[thread], sizeof(float) * kPairRows * kQueryTile);
+      reserve(sums[thread], sizeof(float) * kSumRows * kQueryTile);
       for (uint32_t query = 0; query < tables.queries; query += kQueryTile) {
         const uint32_t last = std::min(tables.queries, query + kQueryTile);
-        for (uint64_t row = begin; row < end; row += kPairRows) {
+        for (uint64_t row = begin; row < end; row += kSumRows) {
           float *of_query = (float *)sums[thread].data;
           kernels.sums(rows, tables.queries, prepared.data, query, last, row, scratch[thread].data, of_query);
-          const uint32_t count = (uint32_t)std::min<uint64_t>(kPairRows, end - row);
+          const uint32_t count = (uint32_t)std::min<uint64_t>(kSumRows, end - row);
           work(thread, begin / block_rows, query, last - query, row, count, of_query);
         }
       }
@@ -79,7 +79,7 @@ void scan_scores(const ScanKernels &kernels, const GroupedRows &rows, const Quer
   const Scan scan(kernels, rows, tables, precision, threads);
   scan.run(threads,
            [&](int, uint64_t, uint32_t first, uint32_t queries, uint64_t row, uint32_t count, const float *sums) {
-             for (uint32_t q = first; q < first + queries; q++, sums += kPairRows)
+             for (uint32_t q = first; q < first + queries; q++, sums += kSumRows)
                scan.finish(q, row, count, sums, scores + (size_t)q * rows.rows + row);
            });
 }
@@ -109,10 +109,10 @@ Found scan_top(const ScanKernels &kernels, const GroupedRows &rows, const QueryT
 void scan_best(const ScanKernels &kernels, const GroupedRows &rows, const QueryTables &tables, Precision precision,
                int threads, int32_t *winner, float *best, float *runner_up) {
   const Scan scan(kernels, rows, tables, precision, threads);
-  const std::vector<float> ones(rows.coarse_ids ? kPairRows : 0, 1.f);
+  const std::vector<float> ones(rows.coarse_ids ? kSumRows : 0, 1.f);
   scan.run(threads, [&](int, uint64_t, uint32_t first, uint32_t queries, uint64_t row, uint32_t count, float *sums) {
     for (uint32_t q = 0; q < queries && rows.coarse_ids; q++)
-      scan.finish(first + q, row, count, sums + q * kPairRows, sums + q * kPairRows);
+      scan.finish(first + q, row, count, sums + q * kSumRows, sums + q * kSumRows);
     kernels.compete(sums, rows.coarse_ids ? ones.data() : rows.inverse_norms + row, first, queries, count, winner + row,
                     best + row, runner_up + row);
   });

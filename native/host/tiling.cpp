@@ -117,17 +117,17 @@ void find_spans(Workspace &w, const Kernels &kernels, int threads) {
     for (uint32_t i = begin; i < end; i++) counts[w.extents[i].y0]++, counts[w.extents[i].y1]--;
     for (int row = 1; row < w.rows; row++) counts[row] += counts[row - 1];
   });
-  grow(w.row_start, w.rows + 1);
+  grow(w.spans_start, w.rows + 1);
   uint64_t sum = 0;
   for (int row = 0; row < w.rows; row++) {
-    w.row_start[row] = (uint32_t)sum;
+    w.spans_start[row] = (uint32_t)sum;
     for (int t = 0; t < threads; t++) {
       uint32_t &c = w.workers[t]->row_counts[row], n = c;
       c = (uint32_t)sum, sum += n;
     }
   }
   if (sum > UINT32_MAX) throw std::bad_alloc();
-  w.row_start[w.rows] = (uint32_t)sum;
+  w.spans_start[w.rows] = (uint32_t)sum;
   grow(w.spans, sum);
   over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
     kernels.tile_spans(w.splats.data(), w.extents.data(), begin, end, w.spans.data(), w.workers[t]->row_counts.data());
@@ -138,17 +138,17 @@ void find_spans(Workspace &w, const Kernels &kernels, int threads) {
 template <class Visit>
 void each_span(Workspace &w, uint32_t *tiles, int threads, Visit visit) {
   over_rows((uint64_t)w.rows, 1, threads, [&](int, uint64_t row, uint64_t) {
-    for (uint32_t i = w.row_start[row]; i < w.row_start[row + 1]; i++)
+    for (uint32_t i = w.spans_start[row]; i < w.spans_start[row + 1]; i++)
       visit(w.spans[i], tiles + row * ((uint64_t)w.columns + 1), (int)row);
   });
 }
 
-// Where each splat's rows begin, in index order: as many as tiles in its spans.
-void find_rows(Workspace &w, uint32_t pairs, int threads) {
+// Where each splat's rows of sums begin, in index order: as many as tiles in its spans.
+void find_rows(Workspace &w, uint64_t pairs, int threads) {
   const size_t n = w.projected.size();
   grow(w.rows_of_list, pairs), grow(w.rows_start, n + 1);
   std::fill_n(w.rows_start.begin(), n + 1, 0);
-  each_span(w, nullptr, threads, [&](const TileSpan &span, uint32_t *, int row) {
+  each_span(w, w.tile_next.data(), threads, [&](const TileSpan &span, uint32_t *, int row) {
     if (row + 1 == w.extents[span.splat].y1)
       w.rows_start[(uint32_t)w.keys[span.splat] + 1] = span.before + span.last - span.first;
   });
@@ -161,8 +161,8 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_
   find_spans(w, kernels, threads);
   const size_t tiles = (size_t)w.columns * w.rows;
   grow(w.tile_start, tiles + 1), grow(w.tile_next, tiles + w.rows);
-  std::fill_n(w.tile_next.begin(), tiles + w.rows,
-              0);  // first, by how much more splats touch a tile than the one before
+  // first, by how much more splats touch a tile than the one before
+  std::fill_n(w.tile_next.begin(), tiles + w.rows, 0);
   each_span(w, w.tile_next.data(), threads,
             [](const TileSpan &span, uint32_t *changes, int) { changes[span.first]++, changes[span.last]--; });
   uint64_t sum = 0;
@@ -175,11 +175,11 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_
   if (sum > UINT32_MAX) throw std::bad_alloc();
   w.tile_start[tiles] = (uint32_t)sum;
   grow(w.list, sum);
-  if (way_back) find_rows(w, (uint32_t)sum, threads);
+  if (way_back) find_rows(w, sum, threads);
   each_span(w, w.tile_next.data(), threads, [&](const TileSpan &span, uint32_t *at, int) {
-    uint32_t row = way_back ? w.rows_start[(uint32_t)w.keys[span.splat]] + span.before : 0;
+    uint32_t row_of_sums = way_back ? w.rows_start[(uint32_t)w.keys[span.splat]] + span.before : 0;
     for (uint32_t x = span.first; x < span.last; x++) {
-      if (way_back) w.rows_of_list[at[x]] = row++;
+      if (way_back) w.rows_of_list[at[x]] = row_of_sums++;
       w.list[at[x]++] = span.splat;
     }
   });

@@ -35,7 +35,7 @@ struct Workspace {
   Kept<Extent> projected_extents, extents;
   Kept<uint64_t> keys, other_keys;
   Kept<TileSpan> spans;  // row after row, front to back
-  Kept<uint32_t> list, row_start, tile_start, tile_next;
+  Kept<uint32_t> list, spans_start, tile_start, tile_next;
   Kept<Triple> triples, other_triples;
   // For the way back, if asked: how many each thread projected, in index order; the depth rank of each,
   // and where its rows of sums begin, one for each tile; of each entry of `list`, its row.

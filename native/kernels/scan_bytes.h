@@ -1,12 +1,13 @@
 // Look-ups in tables of bytes (AVX-512 VBMI): 64 codes in two vpermi2b.
 //
 // The digits of an entry, counted in steps (scan_steps.h), are summed apart, as planes of bytes: the lowest digit to
-// base 128 or 256, the others to base 256. Bytes of several sub-vectors are added as bytes while they fit, then widened
-// to 16 bits, where bits 8-15 count the odd rows too; these are also summed apart, and taken out at the end.
-// Source: Andre et al. 2015, 2017 (PQ Fast Scan, Quick ADC) for sums in small integers of shuffled tables;
-// tables of all 256 entries in registers, and planes, are ours.
-
-constexpr uint32_t kPlanes = 3;
+// base 128 or 256, the others to base 256. Two planes that nearly all sub-vectors have are looked up together, since
+// they need the codes and the half of a table that each is in once: the two lower ones of a query or, where one byte is
+// enough, the lowest of two queries. What few sub-vectors have beyond that is looked up alone.
+// Bytes of several sub-vectors are added as bytes while they fit, then widened to 16 bits, where bits 8-15 count the
+// odd rows too; these are also summed apart, and taken out at the end. Source: Andre et al. 2015, 2017 (PQ Fast Scan,
+// Quick ADC) for sums in small integers of shuffled tables; tables of all 256 entries in registers, and planes, are
+// ours.
 #pragma once
 #include "kernels/isa.h"
 #include "kernels/scan_kernels.h"
@@ -14,36 +15,40 @@ constexpr uint32_t kPlanes = 3;
 
 namespace drsplat::DRSPLAT_ISA {
 
-constexpr uint32_t kTile = 32;  // sub-vectors whose codes stay in the L1 cache
+constexpr uint32_t kPlanes = 3;
+constexpr uint32_t kTile = 32;  // sub-vectors whose tables of two planes stay in the L1 cache, for all groups
 constexpr uint32_t kTilesPerChunk = kChunk / kTile;
+constexpr uint32_t kGroups = kSumRows / kGroupRows;
+constexpr uint32_t kPairBytes = 2 * 256;
 
-struct Step {         // one table of 256 bytes
-  uint16_t in_chunk;  // its sub-vector
-  uint16_t flush;     // widen the bytes after it
-};
-struct Run {                     // the steps of one tile and plane, or of a chunk where they are few
-  uint32_t begin, singles, end;  // groups that fit a byte together, then those that do not
-  bool fresh;                    // the first of its chunk and plane
+struct Run { uint32_t begin, end; };  // look-ups of one plane in one chunk
+struct Step {
+  uint16_t subvector, flush;  // widen the bytes after it
 };
 
 struct BytePlan {  // of one query; pointers are set by `plan_at`
   Scale scale;
   float weights[kPlanes];
-  uint32_t planes;  // in use
-  Range *ranges;    // of each sub-vector
-  Run *runs;        // tiles x kPlanes
-  Step *steps;      // up to kPlanes for each sub-vector
-  uint8_t *tables;  // 256 for each step
+  uint32_t planes;   // in use
+  uint32_t paired;   // planes that are looked up in pairs: both, or the lowest with that of the next query
+  Range *ranges;     // of each sub-vector
+  Run *runs;         // chunks x kPlanes: those that are looked up alone
+  Step *alone;       // up to two for each sub-vector
+  uint8_t *flushes;  // of each sub-vector: 1 and 2, to widen the bytes of the first and the second plane after it
+  uint8_t *pairs;    // two tables for each sub-vector
+  uint8_t *tables;   // of `alone`
 };
 
 INLINE uint32_t tiles_of(uint32_t subvectors) { return (subvectors + kTile - 1) / kTile; }
 INLINE size_t rounded(size_t bytes) { return (bytes + 63) / 64 * 64; }
-INLINE size_t run_bytes(uint32_t subvectors) { return rounded(tiles_of(subvectors) * kPlanes * sizeof(Run)); }
-INLINE size_t step_bytes(uint32_t subvectors) { return rounded((size_t)subvectors * kPlanes * sizeof(Step)); }
+INLINE size_t run_bytes(uint32_t subvectors) {
+  return rounded((subvectors + kChunk - 1) / kChunk * kPlanes * sizeof(Run));
+}
+INLINE size_t alone_bytes(uint32_t subvectors) { return rounded((size_t)subvectors * 2 * sizeof(Step)); }
 INLINE size_t range_bytes(uint32_t subvectors) { return rounded(subvectors * sizeof(Range)); }
 INLINE size_t plan_bytes(uint32_t subvectors) {
-  return rounded(sizeof(BytePlan)) + range_bytes(subvectors) + run_bytes(subvectors) + step_bytes(subvectors) +
-         (size_t)subvectors * kPlanes * 256;
+  return rounded(sizeof(BytePlan)) + range_bytes(subvectors) + run_bytes(subvectors) + alone_bytes(subvectors) +
+         rounded(subvectors) + (size_t)subvectors * 2 * kPairBytes;
 }
 static size_t prepared_bytes(uint32_t subvectors, uint32_t queries) { return plan_bytes(subvectors) * queries; }
 
@@ -56,7 +61,9 @@ static BytePlan &new_plan(void *prepared, uint32_t subvectors, uint32_t query) {
   char *p = (char *)&plan + rounded(sizeof(BytePlan));
   plan.ranges = (Range *)p, p += range_bytes(subvectors);
   plan.runs = (Run *)p, p += run_bytes(subvectors);
-  plan.steps = (Step *)p, p += step_bytes(subvectors);
+  plan.alone = (Step *)p, p += alone_bytes(subvectors);
+  plan.flushes = (uint8_t *)p, p += rounded(subvectors);
+  plan.pairs = (uint8_t *)p, p += (size_t)subvectors * kPairBytes;
   plan.tables = (uint8_t *)p;
   return plan;
 }
@@ -80,237 +87,265 @@ INLINE uint32_t steps_of(Range range, float per_step) {
   return (uint32_t)_mm_cvttss_si32(steps);
 }
 
-// Groups of tables that fit a byte together, as few as first fit finds from the largest on. Tables in `order`, groups
-// of many first; `flush` after the last of each.
-static void group_tables(const uint32_t *largest, uint32_t count, uint32_t *order, bool *flush, Run &run) {
-  uint32_t sorted[kTile], group[kTile], held[kTile] = {}, size[kTile] = {};
-  for (uint32_t i = 0; i < count; i++) {
-    uint32_t at = i;
-    for (; at > 0 && largest[sorted[at - 1]] < largest[i]; at--) sorted[at] = sorted[at - 1];
-    sorted[at] = i;
+// One plane of all sub-vectors as the first or second of the pairs; 2 bits for each say where it is flushed.
+static void plan_paired(const BytePlan &plan, const float *tables, uint32_t subvectors, int shift, uint32_t mask,
+                        uint32_t slot, BytePlan &pair) {
+  const float per_step = 1.f / plan.scale.step;
+  uint32_t held = 0;
+  for (uint32_t m = 0; m < subvectors; m++) {
+    uint8_t *to = pair.pairs + kPairBytes * (size_t)m + 256 * slot;
+    const uint32_t largest = digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, to);
+    held += largest;
+    if (held > 255 && m % kTile) pair.flushes[m - 1] |= 1u << slot, held = largest;
+    if (m % kTile == kTile - 1 || m + 1 == subvectors) pair.flushes[m] |= 1u << slot, held = 0;
   }
-  for (uint32_t i = 0; i < count; i++) {
-    uint32_t g = 0;
-    while (held[g] + largest[sorted[i]] > 255) g++;
-    held[g] += largest[sorted[i]], size[g]++, group[i] = g;
-  }
-  uint32_t at = 0;
-  const auto add_groups = [&](uint32_t least, uint32_t most) {
-    for (uint32_t g = 0; g < count && size[g]; g++) {
-      if (size[g] < least || size[g] > most) continue;
-      for (uint32_t i = 0; i < count; i++)
-        if (group[i] == g) flush[at] = false, order[at++] = sorted[i];
-      flush[at - 1] = true;
+}
+
+// One plane of the sub-vectors that have it, beginning at look-up `at`; returns where it ends.
+static uint32_t plan_alone(BytePlan &plan, const float *tables, uint32_t subvectors, int shift, uint32_t mask,
+                           uint32_t plane, uint32_t at) {
+  const float per_step = 1.f / plan.scale.step;
+  for (uint32_t chunk = 0; chunk < subvectors; chunk += kChunk) {
+    Run &run = plan.runs[chunk / kChunk * kPlanes + plane];
+    run.begin = at;
+    uint32_t held = 0;
+    for (uint32_t m = chunk; m < subvectors && m < chunk + kChunk; m++) {
+      if (!(steps_of(plan.ranges[m], per_step) >> shift)) continue;
+      uint8_t *to = plan.tables + 256 * (size_t)at;
+      const uint32_t largest = digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, to);
+      held += largest;
+      if (held > 255 && at > run.begin) plan.alone[at - 1].flush = 1, held = largest;
+      plan.alone[at++] = {(uint16_t)m, 0}, plan.planes = plane + 1;
     }
-    return run.begin + at;
-  };
-  run.singles = add_groups(2, kTile), run.end = add_groups(1, 1);
-}
-
-// The steps of the sub-vectors [first, last) of a chunk, at most kTile, that have this digit.
-static void plan_run(BytePlan &plan, const float *tables, uint32_t chunk, uint32_t first, uint32_t last, int shift,
-                     uint32_t mask, Run &run) {
-  const float per_step = 1.f / plan.scale.step;
-  uint8_t digits[kTile][256];
-  uint32_t largest[kTile], order[kTile], subvectors[kTile], count = 0;
-  bool flush[kTile];
-  for (uint32_t m = first; m < last; m++) {
-    if (!(steps_of(plan.ranges[m], per_step) >> shift)) continue;
-    largest[count] = digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, digits[count]);
-    subvectors[count++] = m - chunk;
+    if (at > run.begin) plan.alone[at - 1].flush = 1;
+    run.end = at;
   }
-  group_tables(largest, count, order, flush, run);
-  for (uint32_t i = 0; i < count; i++) {
-    plan.steps[run.begin + i] = {(uint16_t)subvectors[order[i]], flush[i]};
-    memcpy(plan.tables + 256 * (size_t)(run.begin + i), digits[order[i]], 256);
-  }
+  return at;
 }
 
-// Whether no more than kTile sub-vectors of [first, last) have this digit: one run holds them all.
-static bool is_sparse(const BytePlan &plan, uint32_t first, uint32_t last, int shift) {
-  const float per_step = 1.f / plan.scale.step;
-  uint32_t count = 0;
-  for (uint32_t m = first; m < last; m++) count += steps_of(plan.ranges[m], per_step) >> shift > 0;
-  return count <= kTile;
-}
-
-static void prepare_one(const float *tables, uint32_t subvectors, Precision precision, BytePlan &plan) {
-  plan.scale = scale_of(tables, subvectors, precision, plan.ranges), plan.planes = 1;
+static void prepare_one(const float *tables, uint32_t subvectors, Precision precision, uint32_t slot, BytePlan &plan,
+                        BytePlan &pair) {
   const int lowest = precision.wide ? 8 : 7;  // bits; pairs of 7 fit a byte
   const int shifts[kPlanes] = {0, lowest, lowest + 8};
   const uint32_t masks[kPlanes] = {(1u << lowest) - 1, 255, 255};
+  plan.scale = scale_of(tables, subvectors, precision, plan.ranges);
+  plan.planes = plan.paired = precision.wide ? 1 : 2;
+  if (slot == 0) memset(pair.flushes, 0, subvectors);
   uint32_t at = 0;
-  for (uint32_t chunk = 0; chunk < subvectors; chunk += kChunk) {
-    const uint32_t chunk_end = chunk + kChunk < subvectors ? chunk + kChunk : subvectors;
-    for (uint32_t plane = 0; plane < kPlanes; plane++) {
-      const bool sparse = plane > 0 && is_sparse(plan, chunk, chunk_end, shifts[plane]);
-      const uint32_t first_step = at;
-      for (uint32_t first = chunk; first < chunk_end; first += kTile) {
-        const uint32_t last = first + kTile < chunk_end ? first + kTile : chunk_end;
-        Run &run = plan.runs[first / kTile * kPlanes + plane];
-        run.begin = at, run.fresh = at == first_step;
-        const uint32_t from = !sparse ? first : last < chunk_end ? last : chunk;
-        plan_run(plan, tables, chunk, from, last, shifts[plane], masks[plane], run);
-        at = run.end;
-      }
-      if (at > first_step && plan.planes <= plane) plan.planes = plane + 1;
-      plan.weights[plane] = (float)(1 << shifts[plane]);
-    }
+  for (uint32_t plane = 0; plane < kPlanes; plane++) {
+    plan.weights[plane] = (float)(1 << shifts[plane]);
+    if (plane < plan.paired) plan_paired(plan, tables, subvectors, shifts[plane], masks[plane], slot + plane, pair);
+    else at = plan_alone(plan, tables, subvectors, shifts[plane], masks[plane], plane, at);
   }
 }
 
 static void prepare(const QueryTables &q, uint32_t subvectors, Precision precision, uint32_t begin, uint32_t end,
                     void *prepared) {
-  for (uint32_t i = begin; i < end; i++)
-    prepare_one(q.tables + (size_t)i * subvectors * 256, subvectors, precision, new_plan(prepared, subvectors, i));
-}
-
-struct Accumulators { __m512i even[8], odd[8]; };  // of two groups
-static size_t scratch_bytes(uint32_t) { return sizeof(Accumulators) * kPlanes * kQueryTile; }
-
-struct CodeTile {  // a chunk of two groups, and the tile that is read after theirs
-  const uint8_t *first, *second, *next_first, *next_second, *next_lines;
-};
-// One group at a time, and of many queries' each an eighth of both: more requests at once stall the loop.
-enum Prefetch { kNothing, kFirst, kSecond, kEighth };
-
-template <Prefetch Ahead>
-INLINE void fetch(const CodeTile &codes, uint32_t step) {
-  const size_t at = 256 * (size_t)step;  // in their order, whatever that of the steps
-  if (Ahead == kEighth) _mm_prefetch((const char *)codes.next_lines + 64 * (size_t)step, _MM_HINT_T0);
-#pragma GCC unroll 4
-  for (int b = 0; b < 4; b++) {
-    if (Ahead == kFirst) _mm_prefetch((const char *)codes.next_first + at + 64 * b, _MM_HINT_T0);
-    if (Ahead == kSecond) _mm_prefetch((const char *)codes.next_second + at + 64 * b, _MM_HINT_T0);
+  for (uint32_t i = begin; i < end; i++) {
+    const uint32_t slot = precision.wide ? i % 2 : 0;
+    BytePlan &plan = new_plan(prepared, subvectors, i), &pair = plan_at(prepared, subvectors, i - slot);
+    if (precision.wide && !slot) memset(pair.pairs, 0, (size_t)subvectors * kPairBytes);  // the last may stay alone
+    prepare_one(q.tables + (size_t)i * subvectors * 256, subvectors, precision, slot, plan, pair);
   }
 }
 
+struct Sums { __m512i even[4], odd[4]; };  // of a group
+static size_t scratch_bytes(uint32_t) { return sizeof(Sums) * 2 * kQueryTile * kGroups; }
+
 struct Table { __m512i quarters[4]; };
-INLINE Table table_of(const BytePlan &plan, uint32_t step) {
-  const uint8_t *entries = plan.tables + 256 * (size_t)step;
+INLINE Table table_of(const uint8_t *entries) {
   return {{_mm512_loadu_si512(entries), _mm512_loadu_si512(entries + 64), _mm512_loadu_si512(entries + 128),
            _mm512_loadu_si512(entries + 192)}};
 }
 
-// In the codes of 64 rows, block b of eight.
-INLINE __m512i look_up(const Table &table, const CodeTile &tile, size_t at, int b) {
-  __m512i codes = _mm512_loadu_si512((b < 4 ? tile.first : tile.second) + at + (b & 3) * 64);
-  __asm__("" : "+v"(codes));  // else GCC loads once for each use, and loads are what the loop waits for
-  return _mm512_mask_blend_epi8(_mm512_cmplt_epi8_mask(codes, _mm512_setzero_si512()),
-                                _mm512_permutex2var_epi8(table.quarters[0], codes, table.quarters[1]),
-                                _mm512_permutex2var_epi8(table.quarters[2], codes, table.quarters[3]));
+INLINE __m512i codes_of(const uint8_t *at) {
+  __m512i codes = _mm512_loadu_si512(at);
+  __asm__("" : "+v"(codes));  // else GCC loads once for each use
+  return codes;
+}
+
+// In 128 entries. Into the codes' register: else GCC copies the tables instead, for which it has not registers enough.
+INLINE __m512i in_half(__m512i lower, __m512i upper, __m512i codes) {
+  __asm__("vpermi2b %2, %1, %0" : "+v"(codes) : "v"(lower), "v"(upper));
+  return codes;
+}
+
+INLINE __m512i look_up(const Table &table, __m512i codes, __mmask64 upper) {
+  return _mm512_mask_blend_epi8(upper, in_half(table.quarters[0], table.quarters[1], codes),
+                                in_half(table.quarters[2], table.quarters[3], codes));
 }
 
 INLINE void widen(__m512i bytes, __m512i &even, __m512i &odd) {
   even = _mm512_add_epi16(even, bytes), odd = _mm512_add_epi16(odd, _mm512_srli_epi16(bytes, 8));
 }
 
-// The part of a run whose tables fit a byte with others.
-template <Prefetch Ahead>
-INLINE void add_groups(const BytePlan &plan, const Run &run, const CodeTile &codes, __m512i *even, __m512i *odd) {
-  __m512i bytes[8];
-#pragma GCC unroll 8
-  for (int b = 0; b < 8; b++) bytes[b] = _mm512_setzero_si512();
-  for (uint32_t s = run.begin; s < run.singles; s++) {
-    const Table table = table_of(plan, s);
-    const size_t at = (size_t)plan.steps[s].in_chunk * 256;
-    fetch<Ahead>(codes, s - run.begin);
-#pragma GCC unroll 8
-    for (int b = 0; b < 8; b++) bytes[b] = _mm512_add_epi8(bytes[b], look_up(table, codes, at, b));
-    if (!plan.steps[s].flush) continue;
-#pragma GCC unroll 8
-    for (int b = 0; b < 8; b++) widen(bytes[b], even[b], odd[b]), bytes[b] = _mm512_setzero_si512();
+// Widened and begun anew.
+INLINE void flush(__m512i *bytes, __m512i *even, __m512i *odd) {
+#pragma GCC unroll 4
+  for (int b = 0; b < 4; b++) widen(bytes[b], even[b], odd[b]), bytes[b] = _mm512_setzero_si512();
+}
+
+// The codes of one group in one tile, and those that are fetched meanwhile.
+struct CodeTile { const uint8_t *codes, *ahead; };
+
+// Both planes of `count` sub-vectors, added to what was `before`.
+template <bool Fetch, bool Whole>
+static void add_pairs(const CodeTile &tile, const uint8_t *pairs, const uint8_t *flushes, uint32_t count,
+                      const Sums *before, Sums *after) {
+  __m512i first[4], second[4], even[4], odd[4], even2[4], odd2[4];
+#pragma GCC unroll 4
+  for (int b = 0; b < 4; b++) {
+    first[b] = second[b] = _mm512_setzero_si512();
+    even[b] = before[0].even[b], odd[b] = before[0].odd[b];
+    even2[b] = before[1].even[b], odd2[b] = before[1].odd[b];
+  }
+  for (uint32_t m = 0; m < count; m++) {
+    const Table one = table_of(pairs + kPairBytes * m), two = table_of(pairs + kPairBytes * m + 256);
+#pragma GCC unroll 4
+    for (int b = 0; b < 4; b++) {
+      const size_t at = 256 * m + 64 * b;
+      if (Fetch) _mm_prefetch((const char *)tile.ahead + at, _MM_HINT_T0);
+      const __m512i codes = codes_of(tile.codes + at);
+      const __mmask64 upper = _mm512_movepi8_mask(codes);
+      if (Whole) {
+        widen(look_up(one, codes, upper), even[b], odd[b]), widen(look_up(two, codes, upper), even2[b], odd2[b]);
+        continue;
+      }
+      first[b] = _mm512_add_epi8(first[b], look_up(one, codes, upper));
+      second[b] = _mm512_add_epi8(second[b], look_up(two, codes, upper));
+    }
+    if (Whole) continue;
+    if (flushes[m] & 1) flush(first, even, odd);
+    if (flushes[m] & 2) flush(second, even2, odd2);
+  }
+#pragma GCC unroll 4
+  for (int b = 0; b < 4; b++) {
+    after[0].even[b] = even[b], after[0].odd[b] = odd[b];
+    after[1].even[b] = even2[b], after[1].odd[b] = odd2[b];
   }
 }
 
-template <Prefetch Ahead>
-static void accumulate(const BytePlan &plan, const Run &run, const CodeTile &codes, Accumulators &sums) {
-  __m512i even[8], odd[8];
-#pragma GCC unroll 8
-  for (int b = 0; b < 8; b++) even[b] = odd[b] = _mm512_setzero_si512();
-  if (!run.fresh) {
-#pragma GCC unroll 8
-    for (int b = 0; b < 8; b++) even[b] = sums.even[b], odd[b] = sums.odd[b];
+// Those of one plane of a chunk that are looked up alone.
+static Sums sum_alone(const BytePlan &plan, Run run, const uint8_t *codes_of_group) {
+  __m512i bytes[4], even[4], odd[4];
+#pragma GCC unroll 4
+  for (int b = 0; b < 4; b++) bytes[b] = even[b] = odd[b] = _mm512_setzero_si512();
+  for (uint32_t i = run.begin; i < run.end; i++) {
+    const Table table = table_of(plan.tables + 256 * (size_t)i);
+#pragma GCC unroll 4
+    for (int b = 0; b < 4; b++) {
+      const __m512i codes = codes_of(codes_of_group + 256 * (size_t)plan.alone[i].subvector + 64 * b);
+      bytes[b] = _mm512_add_epi8(bytes[b], look_up(table, codes, _mm512_movepi8_mask(codes)));
+    }
+    if (plan.alone[i].flush) flush(bytes, even, odd);
   }
-  if (run.begin < run.singles) add_groups<Ahead>(plan, run, codes, even, odd);
-  for (uint32_t s = run.singles; s < run.end; s++) {
-    const Table table = table_of(plan, s);
-    const size_t at = (size_t)plan.steps[s].in_chunk * 256;
-    fetch<Ahead>(codes, s - run.begin);
-#pragma GCC unroll 8
-    for (int b = 0; b < 8; b++) widen(look_up(table, codes, at, b), even[b], odd[b]);
-  }
-#pragma GCC unroll 8
-  for (int b = 0; b < 8; b++) sums.even[b] = even[b], sums.odd[b] = odd[b];
+  Sums sums;
+#pragma GCC unroll 4
+  for (int b = 0; b < 4; b++) sums.even[b] = even[b], sums.odd[b] = odd[b];
+  return sums;
 }
 
-INLINE __m512 widened(__m256i v) { return _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(v)); }
-
-// Sums of 64 rows, in their order.
+// Sums of 64 rows, in their order: pairs of those that are 16 rows apart, which a mask and a shift part.
 INLINE void unpack(__m512i even, __m512i odd, __m512 *rows) {
-  const __m512i low = _mm512_set_epi16(47, 15, 46, 14, 45, 13, 44, 12, 43, 11, 42, 10, 41, 9, 40, 8, 39, 7, 38, 6, 37,
-                                       5, 36, 4, 35, 3, 34, 2, 33, 1, 32, 0);
-  const __m512i high = _mm512_set_epi16(63, 31, 62, 30, 61, 29, 60, 28, 59, 27, 58, 26, 57, 25, 56, 24, 55, 23, 54, 22,
-                                        53, 21, 52, 20, 51, 19, 50, 18, 49, 17, 48, 16);
+  constexpr long long k = 0x0028002000080000, next = 0x0001000100010001;
+  const __m512i low = _mm512_setr_epi64(k, k + next, k + 2 * next, k + 3 * next, k + 4 * next, k + 5 * next,
+                                        k + 6 * next, k + 7 * next);
+  const __m512i high = _mm512_add_epi16(low, _mm512_set1_epi16(16)), mask = _mm512_set1_epi32(0xffff);
   even = _mm512_sub_epi16(even, _mm512_slli_epi16(odd, 8));
   const __m512i a = _mm512_permutex2var_epi16(even, low, odd), b = _mm512_permutex2var_epi16(even, high, odd);
-  rows[0] = widened(_mm512_castsi512_si256(a)), rows[1] = widened(_mm512_extracti64x4_epi64(a, 1));
-  rows[2] = widened(_mm512_castsi512_si256(b)), rows[3] = widened(_mm512_extracti64x4_epi64(b, 1));
+  rows[0] = _mm512_cvtepi32_ps(_mm512_and_si512(a, mask)), rows[1] = _mm512_cvtepi32_ps(_mm512_srli_epi32(a, 16));
+  rows[2] = _mm512_cvtepi32_ps(_mm512_and_si512(b, mask)), rows[3] = _mm512_cvtepi32_ps(_mm512_srli_epi32(b, 16));
 }
 
-// out = bias + step * sum over planes; after the first chunk, out += step * sum.
-static void emit(const BytePlan &plan, const Accumulators *totals, bool first_chunk, float *out) {
+// out = bias + step * sum over planes of a chunk of one group; after the first chunk, out += step * sum.
+static void emit(const BytePlan &plan, const Sums *paired, uint32_t chunk, const uint8_t *codes, float *out) {
   const __m512 step = _mm512_set1_ps(plan.scale.step), bias = _mm512_set1_ps(plan.scale.bias);
-  for (int b = 0; b < 8; b++) {
+  Sums alone[kPlanes];
+  const Sums *sums[kPlanes];
+  for (uint32_t plane = 0; plane < plan.planes; plane++) {
+    sums[plane] = plane < plan.paired ? paired + plane : alone + plane;
+    if (plane >= plan.paired) alone[plane] = sum_alone(plan, plan.runs[chunk * kPlanes + plane], codes);
+  }
+  for (int b = 0; b < 4; b++) {
     __m512 sum[4];
-    unpack(totals[0].even[b], totals[0].odd[b], sum);
+    unpack(sums[0]->even[b], sums[0]->odd[b], sum);
     for (uint32_t plane = 1; plane < plan.planes; plane++) {
       __m512 rows[4];
-      unpack(totals[plane].even[b], totals[plane].odd[b], rows);
+      unpack(sums[plane]->even[b], sums[plane]->odd[b], rows);
       for (int i = 0; i < 4; i++) sum[i] = _mm512_fmadd_ps(rows[i], _mm512_set1_ps(plan.weights[plane]), sum[i]);
     }
     for (int i = 0; i < 4; i++) {
       float *at = out + 64 * b + 16 * i;
-      _mm512_storeu_ps(at, _mm512_fmadd_ps(sum[i], step, first_chunk ? bias : _mm512_loadu_ps(at)));
+      _mm512_storeu_ps(at, _mm512_fmadd_ps(sum[i], step, chunk ? _mm512_loadu_ps(at) : bias));
     }
   }
 }
 
-INLINE Prefetch prefetch_of(uint32_t query, uint32_t queries, uint32_t plane) {
-  if (queries == 8) return plane == 0 ? kEighth : kNothing;
-  if (query == 0 && plane == 0) return kFirst;
-  return queries == 1 ? (plane == 1 ? kSecond : kNothing) : query == 1 && plane == 0 ? kSecond : kNothing;
+// Some groups, and as many after them unless they are the last: their codes are fetched meanwhile.
+struct Walk {
+  const uint8_t *codes;
+  size_t group_bytes;
+  uint32_t subvectors, groups;
+  bool last;
+};
+
+INLINE CodeTile tile_of(const Walk &walk, uint32_t tile, uint32_t group) {
+  const uint8_t *here = walk.codes + group * walk.group_bytes + (size_t)tile * kTile * 256;
+  if (walk.last) return {here, here};
+  return {here, walk.codes + walk.groups * walk.group_bytes + ((size_t)tile * walk.groups + group) * kTile * 256};
+}
+
+alignas(64) static const Sums kNothing[2] = {};
+
+// One tile of all groups.
+static void add_tile(const Walk &walk, const BytePlan *const *plans, uint32_t queries, uint32_t tile,
+                     Sums (*totals)[kGroups][2]) {
+  const uint32_t first = tile * kTile, count = walk.subvectors - first < kTile ? walk.subvectors - first : kTile;
+  const bool fresh = tile % kTilesPerChunk == 0;
+  for (uint32_t q = 0; q < queries; q += plans[q]->paired == 1 ? 2 : 1) {
+    const BytePlan &plan = *plans[q];
+    const uint8_t *pairs = plan.pairs + (size_t)first * kPairBytes, *flushes = plan.flushes + first;
+    for (uint32_t g = 0; g < walk.groups; g++) {
+      Sums *after = totals[q][g];
+      const Sums *before = fresh ? kNothing : after;
+      const CodeTile codes = tile_of(walk, tile, g);
+      if (plan.paired == 1 && q == 0) add_pairs<true, true>(codes, pairs, flushes, count, before, after);
+      else if (plan.paired == 1) add_pairs<false, true>(codes, pairs, flushes, count, before, after);
+      else if (q == 0) add_pairs<true, false>(codes, pairs, flushes, count, before, after);
+      else add_pairs<false, false>(codes, pairs, flushes, count, before, after);
+    }
+  }
+}
+
+static void sum_groups(const Walk &walk, const BytePlan *const *plans, uint32_t queries, const float *norms,
+                       Sums (*totals)[kGroups][2], float *out) {
+  const uint32_t tiles = tiles_of(walk.subvectors), lines = walk.groups * kGroupRows / 16;
+  for (uint32_t tile = 0; tile < tiles; tile++) {
+    for (uint32_t i = lines * tile / tiles; norms && i < lines * (tile + 1) / tiles; i++)
+      _mm_prefetch((const char *)(norms + 16 * i), _MM_HINT_T0);
+    add_tile(walk, plans, queries, tile, totals);
+    if (tile + 1 < tiles && (tile + 1) % kTilesPerChunk) continue;
+    for (uint32_t q = 0; q < queries; q++)
+      for (uint32_t g = 0; g < walk.groups; g++) {
+        const Sums *paired = plans[q]->paired == 1 ? &totals[q / 2 * 2][g][q % 2] : totals[q][g];
+        emit(*plans[q], paired, tile / kTilesPerChunk, walk.codes + g * walk.group_bytes,
+             out + q * kSumRows + g * kGroupRows);
+      }
+  }
 }
 
 static void sums(const GroupedRows &rows, uint32_t, const void *prepared, uint32_t begin, uint32_t end,
                  uint64_t first_row, void *scratch, float *out) {
-  const uint32_t subvectors = rows.subvectors, tiles = tiles_of(subvectors);
-  const size_t group_bytes = (size_t)subvectors * kGroupRows;
-  const uint64_t groups = (rows.rows + kGroupRows - 1) / kGroupRows, group = first_row / kGroupRows;
-  const uint8_t *first = rows.codes + group * group_bytes, *second = group + 1 < groups ? first + group_bytes : first;
-  const size_t to_next = group + 3 < groups ? 2 * group_bytes : 0;  // the next pair: nearer comes too late
-  Accumulators(*totals)[kPlanes] = (Accumulators(*)[kPlanes])scratch;
-  if (begin == 0)  // before the codes take all requests: `finish` would wait for each line
-    for (uint32_t i = 0; i < kPairRows; i += 16)
-      _mm_prefetch((const char *)(rows.inverse_norms + first_row + kPairRows + i), _MM_HINT_T0);
-  for (uint32_t tile = 0; tile < tiles; tile++) {
-    const bool last = tile + 1 == tiles || (tile + 1) % kTilesPerChunk == 0;
-    const size_t at = (size_t)tile / kTilesPerChunk * kChunk * 256, next = (size_t)tile * kTile * 256 + to_next;
-    CodeTile codes = {first + at, second + at, first + next, second + next, nullptr};
-    for (uint32_t q = begin; q < end; q++) {
-      const BytePlan &plan = plan_at(prepared, subvectors, q);
-      Accumulators *total = totals[q - begin];
-      codes.next_lines = (q - begin < 4 ? codes.next_first : codes.next_second) + kTile * 64 * ((q - begin) % 4);
-      for (uint32_t plane = 0; plane < plan.planes; plane++) {
-        const Run &run = plan.runs[tile * kPlanes + plane];
-        const Prefetch ahead = prefetch_of(q - begin, end - begin, plane);
-        if (ahead == kFirst) accumulate<kFirst>(plan, run, codes, total[plane]);
-        else if (ahead == kSecond) accumulate<kSecond>(plan, run, codes, total[plane]);
-        else if (ahead == kEighth) accumulate<kEighth>(plan, run, codes, total[plane]);
-        else if (run.begin < run.end || (last && run.fresh)) accumulate<kNothing>(plan, run, codes, total[plane]);
-      }
-      if (last) emit(plan, total, tile < kTilesPerChunk, out + (q - begin) * kPairRows);
-    }
+  const size_t group_bytes = (size_t)rows.subvectors * kGroupRows;
+  const uint64_t groups = (rows.rows + kGroupRows - 1) / kGroupRows, first = first_row / kGroupRows;
+  const uint32_t at_once = end - begin == 1 ? kGroups : kGroups / 2;  // sums of many queries take more of the cache
+  const BytePlan *plans[kQueryTile];
+  for (uint32_t q = begin; q < end; q++) plans[q - begin] = &plan_at(prepared, rows.subvectors, q);
+  for (uint64_t g = first; g < groups && g < first + kGroups; g += at_once) {
+    const uint32_t count = groups - g < at_once ? (uint32_t)(groups - g) : at_once;
+    const Walk walk = {rows.codes + g * group_bytes, group_bytes, rows.subvectors, count, groups - g < 2 * count};
+    const float *norms = begin ? nullptr : rows.inverse_norms + g * kGroupRows;  // which `finish` would wait for
+    sum_groups(walk, plans, end - begin, norms, (Sums(*)[kGroups][2])scratch, out + (g - first) * kGroupRows);
   }
 }
 

@@ -138,7 +138,7 @@ static void sum_eight(Codes codes, const uint32_t *tables, uint32_t subvectors, 
     }
     for (; m < last; m++) add_eights<1>(codes.first + 256 * m, codes.first + 256 * m, tables + kWide * 256 * m, total);
     for (uint32_t k = 0; k < count; k++)
-      emit((const uint32_t *)total + k, kWide, scales[k], chunk == 0, out + k * kPairRows);
+      emit((const uint32_t *)total + k, kWide, scales[k], chunk == 0, out + k * kSumRows);
   }
 }
 
@@ -147,10 +147,10 @@ static void sums(const GroupedRows &rows, uint32_t queries, const void *prepared
   const size_t entries = entries_of(rows.subvectors);
   const uint64_t groups = (rows.rows + kGroupRows - 1) / kGroupRows, group = first_row / kGroupRows;
   const Prepared p = prepared_at(prepared, rows.subvectors, queries);
-  for (uint32_t half = 0; half < 2 && group + half < groups; half++, out += kGroupRows) {
-    const Codes codes = {rows.codes + (group + half) * entries, rows.codes + groups * entries};
+  for (uint32_t g = 0; g < kSumRows / kGroupRows && group + g < groups; g++, out += kGroupRows) {
+    const Codes codes = {rows.codes + (group + g) * entries, rows.codes + groups * entries};
     for (uint32_t q = begin; q < end;) {
-      float *to = out + (q - begin) * kPairRows;
+      float *to = out + (q - begin) * kSumRows;
       const uint32_t *tables = p.tables + q * entries;
       if (in_eights(q, queries)) {
         const uint32_t count = end - q < kWide ? end - q : kWide;

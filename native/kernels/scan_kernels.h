@@ -9,8 +9,8 @@
 namespace drsplat {
 
 constexpr uint32_t kGroupRows = 256;
-constexpr uint32_t kPairRows = 2 * kGroupRows;  // kernels work on two groups at once
-constexpr uint32_t kQueryTile = 8;              // queries whose tables stay in half an L2 cache together
+constexpr uint32_t kSumRows = 8 * kGroupRows;  // whose sums are asked for at once
+constexpr uint32_t kQueryTile = 8;             // queries whose tables stay in half an L2 cache together
 
 struct GroupedRows {
   const uint8_t *codes;        // ceil(rows / 256) x subvectors x 256; bytes past the last row are ignored
@@ -41,7 +41,7 @@ struct ScanKernels {
   size_t (*scratch_bytes)(uint32_t subvectors);
   // Tables as `sums` reads them, of queries [begin, end); begin is a multiple of kQueryTile.
   void (*prepare)(const QueryTables &, uint32_t subvectors, Precision, uint32_t begin, uint32_t end, void *prepared);
-  // Sums of look-ups of rows [first_row, first_row + 512) for queries [begin, end) of one tile: (queries, 512).
+  // Sums of look-ups of rows [first_row, first_row + 2048) for queries [begin, end) of one tile: (queries, 2048).
   void (*sums)(const GroupedRows &, uint32_t queries, const void *prepared, uint32_t begin, uint32_t end,
                uint64_t first_row, void *scratch, float *out);
   // scores = (sum + coarse term) * inverse norm; `out` may be `sums`.

@@ -17,7 +17,7 @@ static void stream_scaled(const float *sums, const float *scale, uint32_t count,
 #elif defined(__AVX2__)
 static void stream_scaled(const float *sums, const float *scale, uint32_t count, float *out) {
   for (uint32_t i = 0; i < count; i += 8) {
-    __builtin_prefetch(scale + i + kPairRows);
+    __builtin_prefetch(scale + i + 2 * kGroupRows);
     _mm256_stream_ps(out + i, _mm256_mul_ps(_mm256_loadu_ps(sums + i), _mm256_loadu_ps(scale + i)));
   }
 }
@@ -28,7 +28,7 @@ static void finish(const GroupedRows &rows, const float *coarse, uint32_t coarse
   const float *scale = rows.inverse_norms + first_row;
   if (!rows.coarse_ids) {
 #if defined(__AVX2__)
-    if (rows.rows >= kManyRows && out != sums && count == kPairRows && (uintptr_t)out % 64 == 0) {
+    if (rows.rows >= kManyRows && out != sums && count == kSumRows && (uintptr_t)out % 64 == 0) {
       stream_scaled(sums, scale, count, out);
       return;
     }
@@ -70,7 +70,7 @@ INLINE void compete_16(const float *sums, const float *scale, uint32_t first, ui
   Ints won = first ? load_int(winner) : splat_int(0);
   Floats most = first ? load(best) : lowest, second = first ? load(runner_up) : lowest;
   for (uint32_t q = 0; q < queries; q++) {
-    const Floats score = load(sums + q * kPairRows) * scales;
+    const Floats score = load(sums + q * kSumRows) * scales;
     const Mask wins = most < score;
     const Floats other = select(wins, most, score);
     second = select(second < other, other, second);

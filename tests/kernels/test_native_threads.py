@@ -74,6 +74,14 @@ def kept(found: np.ndarray, threads: int, isa: str) -> tuple[np.ndarray, np.ndar
     return best
 
 
+def placed(weights: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Where a view's entries go in rows of five."""
+    rows, following = np.arange(len(weights), dtype=np.uint32), 5 * np.arange(len(weights))
+    columns, all_weights = np.zeros(5 * len(weights), np.int32), np.zeros(5 * len(weights), np.float32)
+    _native.place_entries(rows, rows.astype(np.int32), weights, 3, following, columns, all_weights)
+    return following, columns, all_weights
+
+
 def calls() -> list[Callable[[], object]]:
     given, rng, how = (*splats(), True), default_rng(0), (INSIDE, "")
     segments = rng.integers(-1, 9, (HEIGHT, WIDTH)).astype(np.int32)
@@ -106,6 +114,7 @@ def calls() -> list[Callable[[], object]]:
         lambda: [_native.weighted_rows(starts, columns, floats(4000), floats(300, 32), *how)],
         lambda: [_native.dense_rows(floats(800, 33), floats(33, 48), *how)],
         lambda: kept(found, *how),
+        lambda: placed(floats(800)),
         lambda: [_native.convolve(floats(9, 8, 8, 3), floats(27, 16), floats(16), 1, *how)],
         lambda: _native.code_sums(floats(800, 64), rows[0].reshape(-1)[:12800].reshape(800, 16), INSIDE),
         lambda: [_native.heaviest_labels(further.reshape(40, 10, 8), floats(40, 10, 8), columns[:300], INSIDE)],

@@ -265,6 +265,13 @@ def columns(rogue: Rogue) -> Call:
     return partial(_native.changed_columns, *matrices[0], numbers, *matrices[1], rogue.how()[0])
 
 
+def entries_of_views(rogue: Rogue) -> Call:
+    n, rows, room = rogue.counts(FEW, FEW, FEW)
+    of_rows, following = rogue.whole(0, rows, (n,), "u4"), rogue.whole(-1, room, (rows,), "i8")
+    given = of_rows, rogue.whole(0, 9, (n,), "i4"), rogue.floats(n), rogue.one((0, 1, 2**31 - 1, -(2**31)))
+    return partial(_native.place_entries, *given, following, np.zeros(room, "i4"), np.zeros(room, "f4"))
+
+
 def boxes(rogue: Rogue) -> Call:
     n, sets = rogue.counts(FEW, (0, 1, 5))
     starts = rogue.starts(rogue.one((0, 1)), 9, sets)
@@ -381,7 +388,7 @@ def optimizer(rogue: Rogue) -> Call:
 TWICE = weights, contributions, scan, mixture, encoding, photos, things, training
 FAMILIES = (
     *TWICE, *TWICE, rendering, colors, look_up_tables, neighbours, rows, dense, keeping, convolution, sums_of_codes,
-    labels, boxes, columns, merges, codes, loss, optimizer,
+    labels, boxes, columns, entries_of_views, merges, codes, loss, optimizer,
 )  # fmt: skip
 
 

@@ -218,8 +218,8 @@ class Run:
         """Return a view on the raster of this iteration: no shorter than MIN_SIDE_PIXELS for being coarse."""
         view, wanted = self.views[index], divisor(self.settings, self.iteration)
         while wanted > 1 and min(view.size) < MIN_SIDE_PIXELS * wanted:
-            wanted //= 2
-        return view if wanted == 1 else view.resized(view.width // wanted, view.height // wanted)
+            wanted = max(wanted / 2, 1.0)
+        return view if wanted == 1 else view.resized(int(view.width / wanted), int(view.height / wanted))
 
     def _background(self) -> Float32[np.ndarray, "3"]:
         if self.settings.background == "random":

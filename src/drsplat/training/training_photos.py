@@ -40,10 +40,12 @@ class Photo(NamedTuple):
     def smaller(self, width: int, height: int) -> "Photo":
         """Return it on a coarser raster: means of pixels, of which none is used that has a part of an unused one."""
         size, unused = (width, height), self.unused
-        pixels = np.asarray(Image.fromarray(self.pixels).resize(size, Image.Resampling.BOX))
+        # a box would take whole pixels, not parts of them
+        weights = Image.Resampling.BILINEAR if self.pixels.shape[1] % width else Image.Resampling.BOX
+        pixels = np.asarray(Image.fromarray(self.pixels).resize(size, weights))
         if unused is None:
             return Photo(pixels)
-        marks = Image.fromarray(unused * np.uint8(255)).resize(size, Image.Resampling.BOX)
+        marks = Image.fromarray(unused * np.uint8(255)).resize(size, weights)
         coarse = np.asarray(marks) > 0
         return Photo(pixels, coarse) if self.left_out is None else Photo(pixels, None, coarse)
 
