@@ -286,7 +286,7 @@ struct Set {
       beyond.clear(), sum = 0;
       for (size_t i = 0; i < points.size(); i++)
         if (value(i) >= least) beyond.push_back({value(i), mass[i]}), sum += mass[i];
-      enough = sum > 2 * tails.shares.back() || beyond.size() == points.size();
+      enough = sum > 2 * tails.shares.back() || std::isinf(least);  // then those left out are no numbers
     }
     std::sort(beyond.begin(), beyond.end(), std::greater<>());
   }

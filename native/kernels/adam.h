@@ -16,7 +16,7 @@ struct AdamLanes {  // of a step, for sixteen numbers; `head`: the rates of a ro
         root_correction(splat(s.root_correction)),
         epsilon(splat(s.epsilon)) {
     float rates[16];
-    for (int i = 0; i < 16; i++) rates[i] = i < kAdamHead ? s.head_rate : s.rate;
+    for (int i = 0; i < 16; i++) rates[i] = s.row && i < kAdamHead ? s.head_rate : s.rate;
     head = load(rates);
   }
 };
@@ -32,25 +32,20 @@ INLINE void step_some(float *parameter, const float *gradient, float *first, flo
   store_some(parameter, load_some(parameter, n) - change, n);
 }
 
-// The first `count` numbers of a row.
-INLINE void step_row(float *parameter, const float *gradient, float *first, float *second, uint32_t count,
-                     const AdamLanes &s) {
-  step_some(parameter, gradient, first, second, count, s.head, s);
-  for (uint32_t i = 16; i < count; i += 16)
-    step_some(parameter + i, gradient ? gradient + i : nullptr, first + i, second + i, count - i, s.rate, s);
+// The first `count` numbers of a row. In one place, so that no compiler fuses multiplications here and not there.
+static inline void step_row(float *parameter, const float *gradient, float *first, float *second, size_t count,
+                            const AdamLanes &s) {
+  for (size_t i = 0; i < count; i += 16)
+    step_some(parameter + i, gradient ? gradient + i : nullptr, first + i, second + i,
+              count - i < 16 ? (uint32_t)(count - i) : 16, i ? s.rate : s.head, s);
 }
 
+// All numbers are one row where none has a head.
 static void adam(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end,
                  const AdamStep &step) {
   const AdamLanes s(step);
-  if (step.row) {
-    for (size_t at = begin; at < end; at += step.row)
-      step_row(parameter + at, gradient + at, first + at, second + at, step.row, s);
-    return;
-  }
-  for (size_t at = begin; at < end; at += 16)
-    step_some(parameter + at, gradient + at, first + at, second + at, end - at < 16 ? (uint32_t)(end - at) : 16, s.rate,
-              s);
+  const size_t row = step.row ? step.row : end - begin;
+  for (size_t at = begin; at < end; at += row) step_row(parameter + at, gradient + at, first + at, second + at, row, s);
 }
 
 }  // namespace drsplat::DRSPLAT_ISA

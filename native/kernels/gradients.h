@@ -114,7 +114,7 @@ static inline int color_gradients(const Group &group, const Parameters &p, int32
 static inline void step_unseen(int width, int stride, const HarmonicsStep &step, const AdamLanes &adam, uint32_t begin,
                                uint32_t end) {
   for (size_t at = begin * (size_t)stride; at < end * (size_t)stride; at += (size_t)stride)
-    step_row(step.sh + at, nullptr, step.first + at, step.second + at, (uint32_t)width, adam);
+    step_row(step.sh + at, nullptr, step.first + at, step.second + at, (size_t)width, adam);
 }
 
 // Steps the harmonics of a group's splats, and of the unseen Gaussians from `next` up to them.
@@ -126,7 +126,7 @@ static inline void step_harmonics(const Group &group, const float (*columns)[16]
   for (int l = 0; l < group.count; l++) {
     step_unseen(width, stride, step, adam, next, (uint32_t)group.ids[l]);
     const size_t first = group.ids[l] * (size_t)stride;
-    step_row(step.sh + first, rows[l], step.first + first, step.second + first, (uint32_t)width, adam);
+    step_row(step.sh + first, rows[l], step.first + first, step.second + first, (size_t)width, adam);
     next = (uint32_t)group.ids[l] + 1;
   }
 }
