@@ -1,14 +1,17 @@
-"""Training a codebook: our k-means beside FAISS's, same points, same number of iterations.
+"""Training a codebook: our k-means beside FAISS's, same points, same number of iterations; and a mixture's scene atoms.
 
     python benchmarks/bench_codebook.py [--points 16384] [--dim 512] [--subvectors 128] [--rounds 3]
 
-FAISS is only a rival here (pip install faiss-cpu). Points are clusters on the unit sphere.
+FAISS is only a rival here (pip install faiss-cpu). Points are clusters on the unit sphere. Atoms: as many as a scene of
+any size has at most, of as many points.
 """
 
 import numpy as np
 from machine import arguments, interleaved
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
+from drsplat.field.codes.mixture.encoding import MAX_SCENE_ATOMS
+from drsplat.field.codes.mixture.scene_atoms import POINTS_PER_ATOM, train_scene_atoms
 from drsplat.kernels.kmeans import KMEANS_STEPS
 
 
@@ -53,6 +56,9 @@ def main() -> None:
             f"{name:<8} {np.median(times):6.2f} s (median; {times.min():.2f} to {times.max():.2f}), "
             f"mean cosine of unseen rows {cosines.mean():.4f}"
         )
+    some = clusters(rng, POINTS_PER_ATOM * MAX_SCENE_ATOMS, args.dim)
+    times = interleaved({"atoms": lambda: train_scene_atoms(some, MAX_SCENE_ATOMS)}, args.rounds)["atoms"]
+    print(f"{MAX_SCENE_ATOMS:,} scene atoms of {len(some):,} points: {np.median(times):.2f} s (median)")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,11 @@ from machine import describe
 
 from drsplat import Scene, export_page
 from drsplat.evaluation.demo import story
-from drsplat.evaluation.demo.story import write_album
+
+try:
+    from drsplat.evaluation.demo.story import write_album
+except ImportError:  # of a version before, with --before
+    from drsplat.evaluation.demo.album import write_album  # type: ignore[import-not-found, no-redef]
 
 ONE_THREAD = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 

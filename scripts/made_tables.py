@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Write the tables of the documents that are made of the code: formats of scenes, and options that verbs share.
+"""Write the tables of the documents that are made of the code: formats of scenes, and options that verbs share. And the
+picture of the times in docs/speed.md.
 
 usage: python -m scripts.made_tables
 """
 
 from collections import Counter
 from importlib import import_module
-from pathlib import Path
 
 from drsplat.cli import VERBS
 from drsplat.formats.known import FORMATS
@@ -14,7 +14,8 @@ from drsplat.formats.moving_scenes import MOVING
 from drsplat.fronts.commands.declaring import Item, items_of
 from drsplat.fronts.commands.options import Verb
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+from .speed_picture import DOCS, PAGE, PICTURE, drawn, stages
+
 MIN_VERBS = 8  # that share an option
 
 
@@ -57,6 +58,7 @@ def main() -> None:
         begin = lines.index(made[0])
         end = next(number for number in range(begin, len(lines) + 1) if not lines[number].startswith("|"))
         page.write_text("\n".join([*lines[:begin], *made, *lines[end:]]) + "\n", encoding="utf-8")
+    PICTURE.write_text(drawn(stages(PAGE.read_text(encoding="utf-8"))), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -128,6 +128,22 @@ nb::tuple changed_columns_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns
   return nb::make_tuple(ends.numpy({rows + 1}), new_columns.numpy({entries}), new_weights.numpy({entries}));
 }
 
+using Counts = nb::ndarray<int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;  // written in place
+using Columns = nb::ndarray<int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Weights = nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+void place_entries_of(Array<uint32_t, 1> rows, Array<int32_t, 1> columns, Vector weights, int32_t first_column,
+                      Counts next, Columns all_columns, Weights all_weights) {
+  const size_t count = rows.shape(0), room = all_columns.shape(0);
+  require(columns.shape(0) == count && weights.shape(0) == count && all_weights.shape(0) == room,
+          "columns and weights of one length");
+  const bool ok = without_gil([&] {
+    return place_entries({rows.data(), columns.data(), weights.data(), count, first_column}, next.data(), next.shape(0),
+                         room, all_columns.data(), all_weights.data());
+  });
+  require(ok, "rows that there are, with room for their entries");
+}
+
 }  // namespace
 
 void bind_algebra(nb::module_ &m) {
@@ -136,6 +152,8 @@ void bind_algebra(nb::module_ &m) {
   m.def("convolve", &convolve_of, "images"_a, "weights"_a, "bias"_a, "stride"_a, "threads"_a, "isa"_a);
   m.def("changed_columns", &changed_columns_of, "starts"_a, "columns"_a, "weights"_a, "numbers"_a, "more_starts"_a,
         "more_columns"_a, "more_weights"_a, "threads"_a);
+  m.def("place_entries", &place_entries_of, "rows"_a, "columns"_a, "weights"_a, "first_column"_a, "next"_a.noconvert(),
+        "all_columns"_a.noconvert(), "all_weights"_a.noconvert());
   m.def("keep_best", &keep_best_of, "scores"_a, "names"_a, "found"_a, "first"_a, "threads"_a, "isa"_a);
   m.def("code_sums", &code_sums_of, "points"_a, "codes"_a, "threads"_a);
   m.def("pq_encode", &pq_encode_of, "features"_a, "centroids"_a, "threads"_a, "isa"_a);

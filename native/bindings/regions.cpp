@@ -23,7 +23,7 @@ void require_votes(const Array<int64_t, 1> &starts, const Array<int32_t, 1> &col
 
 const Edge *edges_of(const Array<int32_t, 2> &pairs, size_t rows) {
   static_assert(sizeof(Edge) == 2 * sizeof(int32_t), "pairs of numbers");
-  require(pairs.shape(1) == 2, "edges (E, 2)");
+  require(pairs.shape(1) == 2 && pairs.shape(0) <= UINT32_MAX, "edges (E, 2), fewer than 2^32");
   const auto *edges = reinterpret_cast<const Edge *>(pairs.data());
   for (size_t e = 0; e < pairs.shape(0); e++)
     require(edges[e].a >= 0 && edges[e].a < edges[e].b && (size_t)edges[e].b < rows, "edges (a, b), a < b < rows");

@@ -92,6 +92,7 @@ nb::object colors_of(Array<float, 3> sh, Rows means, Vector center, int threads,
 void bind_splatting(nb::module_ &m) {
   m.def("view_weights", &weights_of_view, "means"_a, "covariances"_a, "opacities"_a, "antialiased"_a, "camera"_a,
         "segment_ids"_a, "topk"_a, "first_hits"_a, "threads"_a, "isa"_a);
+  m.def("release_workspaces", &release_idle);
   m.def("topk_contributions", &contributions_of_view, "means"_a, "covariances"_a, "opacities"_a, "antialiased"_a,
         "camera"_a, "width"_a, "height"_a, "topk"_a, "first_hits"_a, "threads"_a, "isa"_a);
   m.def("heaviest_labels", &labels_of_pixels, "ids"_a, "weights"_a, "labels"_a, "threads"_a);

@@ -59,6 +59,27 @@ class Pass {
 
   // After forward, and once: the gradients lie in memory of this pass, which they keep alive.
   nb::tuple backward(nb::handle self, const Pixels &image, const Pixels &gradient) {
+    return went_back(self, image, gradient, nullptr);
+  }
+
+  nb::tuple backward_and_step(nb::handle self, const Pixels &image, const Pixels &gradient, Target sh, Target first,
+                              Target second, const AdamStep &adam) {
+    const size_t n = (size_t)parameters_.count * (size_t)parameters_.coefficients * 3;
+    require(sh.data() == parameters_.sh && sh.size() == n && first.size() == n && second.size() == n,
+            "the harmonics of this pass, and moments of their size");
+    const HarmonicsStep step = {sh.data(), first.data(), second.data(), adam};
+    return went_back(self, image, gradient, &step);
+  }
+  nb::dict seconds() const {
+    const TrainingSeconds &s = pass_->seconds;
+    nb::dict d;
+    d["activate"] = s.activate, d["project"] = s.project, d["sort"] = s.sort, d["bin"] = s.bin;
+    d["color"] = s.color, d["forward"] = s.forward, d["backward"] = s.backward, d["parameters"] = s.parameters;
+    return d;
+  }
+
+ private:
+  nb::tuple went_back(nb::handle self, const Pixels &image, const Pixels &gradient, const HarmonicsStep *step) {
     const size_t h = camera_.height, w = camera_.width, n = parameters_.count, k = parameters_.coefficients;
     for (const Pixels *p : {&image, &gradient})
       require(p->shape(0) == h && p->shape(1) == w && p->shape(2) == 3, "image and gradient (H, W, 3)");
@@ -69,24 +90,16 @@ class Pass {
       require(state_ == kForward,
               state_ == kFresh ? "a forward pass before the backward pass" : "one backward pass for each forward pass");
       state_ = kDone;
-      out = pass_->backward(image.data(), gradient.data());
+      out = pass_->backward(image.data(), gradient.data(), step);
     }
     const auto view = [&](float *data, std::initializer_list<size_t> shape) {
       return nb::cast(nb::ndarray<nb::numpy, float>(data, shape, self));
     };
     return nb::make_tuple(view(out.means, {n, 3}), view(out.log_scales, {n, 3}), view(out.quats, {n, 4}),
-                          view(out.logits, {n}), view(out.sh, {n, k, 3}), view(out.screen, {n}), view(out.radii, {n}));
+                          view(out.logits, {n}), view(out.sh, {n, step ? 0 : k, 3}), view(out.screen, {n}),
+                          view(out.radii, {n}));
   }
 
-  nb::dict seconds() const {
-    const TrainingSeconds &s = pass_->seconds;
-    nb::dict d;
-    d["activate"] = s.activate, d["project"] = s.project, d["sort"] = s.sort, d["bin"] = s.bin;
-    d["color"] = s.color, d["forward"] = s.forward, d["backward"] = s.backward, d["parameters"] = s.parameters;
-    return d;
-  }
-
- private:
   ParameterArrays arrays_;
   Parameters parameters_;
   Camera camera_;
@@ -116,16 +129,19 @@ nb::tuple loss_of(Pixels image, Pixels target, float ssim_weight, int threads, c
   return nb::make_tuple(value.l1, value.ssim, gradient.numpy({h, w, 3}));
 }
 
+AdamStep corrected(float rate, int64_t step, float beta1, float beta2, float epsilon, float head_rate, uint32_t row) {
+  require(step >= 1, "step 1 or more");
+  const double bias1 = 1 - std::pow((double)beta1, (double)step), bias2 = 1 - std::pow((double)beta2, (double)step);
+  return {(float)(rate / bias1), beta1, beta2, (float)(1 / std::sqrt(bias2)), epsilon, (float)(head_rate / bias1), row};
+}
+
 void adam_of(Target parameter, Vector gradient, Target first, Target second, float rate, int64_t step, float beta1,
              float beta2, float epsilon, float head_rate, uint32_t row, int threads, const std::string &isa) {
   const size_t n = gradient.shape(0);
-  require(parameter.size() == n && first.size() == n && second.size() == n && step >= 1,
-          "four arrays of one size, step 1 or more");
+  require(parameter.size() == n && first.size() == n && second.size() == n, "four arrays of one size");
   require(!row || (row >= kAdamHead && n % row == 0), "whole rows, at least as long as their head");
   const Kernels &kernels = kernels_named(isa);
-  const double bias1 = 1 - std::pow((double)beta1, (double)step), bias2 = 1 - std::pow((double)beta2, (double)step);
-  const AdamStep s = {(float)(rate / bias1),      beta1, beta2, (float)(1 / std::sqrt(bias2)), epsilon,
-                      (float)(head_rate / bias1), row};
+  const AdamStep s = corrected(rate, step, beta1, beta2, epsilon, head_rate, row);
   nb::gil_scoped_release release;
   adam_step(kernels, parameter.data(), gradient.data(), first.data(), second.data(), n, s, thread_count(threads));
 }
@@ -141,6 +157,16 @@ void bind_training(nb::module_ &m) {
             return nb::cast<Pass &>(self).backward(self, image, gradient);
           },
           "image"_a, "gradient"_a)
+      .def(
+          "backward_and_step",
+          [](nb::object self, Pixels image, Pixels gradient, Target sh, Target first, Target second, float rate,
+             int64_t step, float beta1, float beta2, float epsilon, float head_rate) {
+            return nb::cast<Pass &>(self).backward_and_step(
+                self, image, gradient, sh, first, second,
+                corrected(rate, step, beta1, beta2, epsilon, head_rate, (uint32_t)(3 * sh.shape(1))));
+          },
+          "image"_a, "gradient"_a, "sh"_a, "first"_a, "second"_a, "rate"_a, "step"_a, "beta1"_a, "beta2"_a, "epsilon"_a,
+          "head_rate"_a)
       .def_prop_ro("seconds", &Pass::seconds);
   m.def("training_pass", &start_pass, "means"_a, "log_scales"_a, "quats"_a, "logits"_a, "sh"_a, "antialiased"_a,
         "camera"_a, "width"_a, "height"_a, "active"_a, "background"_a, "threads"_a, "isa"_a);

@@ -129,4 +129,21 @@ void changed_rows(const ColumnChange &change, const int64_t *starts, int threads
   });
 }
 
+bool place_entries(const ViewEntries &entries, int64_t *next, uint64_t rows, uint64_t room, int32_t *columns,
+                   float *weights) {
+  bool ok = true;
+  for (uint64_t i = 0; i < entries.count; i++) {
+    const uint32_t row = entries.rows[i];
+    const uint64_t at = row < rows ? (uint64_t)next[row] : room;
+    if (at < room) {
+      next[row] = (int64_t)at + 1;
+      columns[at] = (int32_t)((uint32_t)entries.first_column + (uint32_t)entries.columns[i]);
+      weights[at] = entries.weights[i];
+    } else {
+      ok = false;
+    }
+  }
+  return ok;
+}
+
 }  // namespace drsplat

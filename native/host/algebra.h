@@ -47,4 +47,15 @@ struct ColumnChange {
 bool changed_starts(const ColumnChange &, int threads, int64_t *starts);
 void changed_rows(const ColumnChange &, const int64_t *starts, int threads, int32_t *columns, float *weights);
 
+// Puts one view's entries into the rows of a matrix. next: where each row's next entry goes, which moves on. False if
+// an entry names no row, or its row has no room: it is left out then.
+struct ViewEntries {
+  const uint32_t *rows;
+  const int32_t *columns;  // to which first_column is added
+  const float *weights;
+  uint64_t count;
+  int32_t first_column;
+};
+bool place_entries(const ViewEntries &, int64_t *next, uint64_t rows, uint64_t room, int32_t *columns, float *weights);
+
 }  // namespace drsplat

@@ -9,7 +9,9 @@ namespace drsplat {
 namespace {
 
 constexpr uint64_t kBlock = 256;
-constexpr double kSlack = 1e-5;  // more than bounds are rounded by
+constexpr ptrdiff_t kFewBorders = 24;  // of one region: more are sorted by merging, which takes memory
+constexpr size_t kAhead = 8;           // borders
+constexpr double kSlack = 1e-5;        // more than bounds are rounded by
 
 int32_t root_of(std::vector<int32_t> &up, int32_t i) {
   while (up[i] != i) i = up[i] = up[up[i]];
@@ -17,19 +19,22 @@ int32_t root_of(std::vector<int32_t> &up, int32_t i) {
 }
 
 // Borders whose regions are, nearly, each other's best, best first.
-std::vector<size_t> best_of_both(int32_t count, const std::vector<Border> &borders, double threshold,
-                                 double tolerance) {
+std::vector<uint32_t> best_of_both(int32_t count, const std::vector<Border> &borders, double threshold,
+                                   double tolerance) {
   std::vector<float> best((size_t)count, kUnknown);
   for (const Border &border : borders)
     for (const int32_t r : {border.a, border.b}) best[r] = std::max(best[r], border.score);
-  std::vector<size_t> found;
+  std::vector<std::pair<float, uint32_t>> found;  // scores turned round: of equal ones the first border comes first
   for (size_t e = 0; e < borders.size(); e++) {
     const Border &border = borders[e];
     const double reached = border.score + tolerance;
-    if (border.score >= threshold && reached >= best[border.a] && reached >= best[border.b]) found.push_back(e);
+    if (border.score >= threshold && reached >= best[border.a] && reached >= best[border.b])
+      found.push_back({-border.score, (uint32_t)e});
   }
-  std::stable_sort(found.begin(), found.end(), [&](size_t x, size_t y) { return borders[x].score > borders[y].score; });
-  return found;
+  std::sort(found.begin(), found.end());
+  std::vector<uint32_t> order(found.size());
+  std::transform(found.begin(), found.end(), order.begin(), [](const auto &one) { return one.second; });
+  return order;
 }
 
 // Borders between the new regions, ascending; those of the same two are one. Numbers keep the order of regions, so
@@ -64,10 +69,14 @@ struct Rebordering {
   }
 
   void sort(const std::vector<size_t> &at, int threads) {
+    const auto before = [](const Border &x, const Border &y) { return x.b < y.b; };
     over_rows(at.size() - 1, 16 * kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
-      for (uint64_t n = begin; n < end; n++)
-        std::stable_sort(moved.begin() + (ptrdiff_t)at[n], moved.begin() + (ptrdiff_t)at[n + 1],
-                         [](const Border &x, const Border &y) { return x.b < y.b; });
+      for (uint64_t n = begin; n < end; n++) {
+        Border *first = moved.data() + at[n], *last = moved.data() + at[n + 1];
+        if (last - first > kFewBorders) std::stable_sort(first, last, before);
+        else
+          for (Border *x = first; x < last; x++) std::rotate(std::upper_bound(first, x, *x, before), x, x + 1);
+      }
     });
   }
 
@@ -99,12 +108,12 @@ double pulled(const Agreement &sum, const MergeRule &rule) {
   return (sum.shared + rule.prior * rule.least) / (sum.seen + rule.least);
 }
 
-std::vector<Border> first_borders(const Regions &all, const Votes &votes, const Edge *edges, size_t count, double soft,
-                                  int threads) {
+std::vector<Border> first_borders(const Regions &all, const Edge *edges, size_t count, double soft, int threads) {
   std::vector<Border> borders(count);
-  std::vector<Table> tables((size_t)threads, {all, votes});
+  std::vector<Table> tables((size_t)threads, Table(all));
   over_rows(count, kBlock, threads, [&](int t, uint64_t begin, uint64_t end) {
     for (uint64_t e = begin; e < end; e++) {
+      if (e + kAhead < end) all.prefetch(all.regions[edges[e + kAhead].b]);
       const Agreement sum = tables[(size_t)t].of(all.regions[edges[e].a], all.regions[edges[e].b], soft);
       borders[e] = {edges[e].a, edges[e].b, (float)sum.shared, (float)sum.seen, kUnknown};
     }
@@ -112,25 +121,49 @@ std::vector<Border> first_borders(const Regions &all, const Votes &votes, const 
   return borders;
 }
 
-// What is below the threshold, however much the two agree, is left for later: mostly its regions change before.
-void score(const Regions &all, std::vector<Border> &borders, const MergeRule &rule, const Votes &votes,
-           double threshold, int threads) {
+// A border that may reach the threshold. along: what its regions agree by along it.
+struct Candidate {
+  uint64_t border;
+  double along, unlike;
+};
+
+// What is below the threshold, however much the two agree, is left for later: mostly its regions change before. Of two
+// rows there is but their border. Each step is done for all of a block: what the processor waits for in one border
+// does not stop it at the next.
+void score(const Regions &all, std::vector<Border> &borders, const MergeRule &rule, double threshold, int threads) {
   const double most = std::max(1.0, rule.prior), whole_share = 1 - rule.local;
   const double enough = threshold - kSlack * (1 + most);
-  std::vector<Table> tables((size_t)threads, {all, votes});
+  const auto rows = [&](const Border &x) { return all.regions[x.a].is_row() && all.regions[x.b].is_row(); };
+  const auto scored = [&](const Candidate &x, double over) {
+    return rule.local * x.along + whole_share * over - x.unlike;
+  };
+  std::vector<Table> tables((size_t)threads, Table(all));
   over_rows(borders.size(), kBlock, threads, [&](int t, uint64_t begin, uint64_t end) {
+    Candidate found[kBlock];
+    size_t count = 0, left = 0;
     for (uint64_t e = begin; e < end; e++) {
-      Border &border = borders[e];
+      const Border &border = borders[e];
       if (border.score != kUnknown) continue;
+      const double along = pulled({border.shared, border.seen}, rule);
+      const double over = std::max(0.0, whole_share) * (rows(border) ? along : most);
+      found[count] = {e, along, 0}, count += rule.local * along + over >= enough;
+    }
+    for (size_t i = 0; i < count; i++) {
+      const Border &border = borders[found[i].border];
       const Region &a = all.regions[border.a], &b = all.regions[border.b];
-      const bool rows = a.node < (int32_t)votes.rows && b.node < (int32_t)votes.rows;  // there is but their border
-      const double along = pulled({border.shared, border.seen}, rule), base = rule.local * along;
-      const double bound = base + std::max(0.0, whole_share) * (rows ? along : most);
-      if (bound < enough) continue;
-      const double unlike = rule.unlike * distance(all, a, b, votes.dim, rule.unit);
-      if (bound - unlike < enough) continue;
-      const double over = rows ? along : pulled(tables[(size_t)t].of(a, b, rule.soft), rule);
-      border.score = (float)(base + whole_share * over - unlike);
+      found[i].unlike = rule.unlike * distance(all, a, b, rule.unit);
+      if (i + kAhead < count) all.prefetch_feature(all.regions[borders[found[i + kAhead].border].b]);
+    }
+    for (size_t i = 0; i < count; i++) {
+      Border &border = borders[found[i].border];
+      if (rows(border)) border.score = (float)scored(found[i], found[i].along);
+      else if (whole_share <= 0 || scored(found[i], most) >= enough) found[left++] = found[i];
+    }
+    for (size_t i = 0; i < left; i++) {
+      if (i + kAhead < left) all.prefetch(all.regions[borders[found[i + kAhead].border].b]);
+      Border &border = borders[found[i].border];
+      const Agreement whole = tables[(size_t)t].of(all.regions[border.a], all.regions[border.b], rule.soft);
+      border.score = (float)scored(found[i], pulled(whole, rule));
     }
   });
 }
@@ -140,13 +173,14 @@ int32_t joined(const Regions &all, const std::vector<Border> &borders, const std
   const int32_t count = all.count();
   std::vector<int32_t> up((size_t)count), heaviest((size_t)count);  // of each root, the heaviest in its group
   std::iota(up.begin(), up.end(), 0), std::iota(heaviest.begin(), heaviest.end(), 0);
+  Laid laid(all), beside(all);
   const auto mass = [&](int32_t region) { return masses[all.regions[region].node]; };
-  for (const size_t e : best_of_both(count, borders, threshold, rule.tolerance)) {
+  for (const uint32_t e : best_of_both(count, borders, threshold, rule.tolerance)) {
     const int32_t a = root_of(up, borders[e].a), b = root_of(up, borders[e].b);
     const int32_t one = heaviest[a], other = heaviest[b], low = std::min(a, b);
     if (a == b) continue;
     if (one != borders[e].a || other != borders[e].b) {  // else the score says that they agree
-      const Agreement whole = agreement(all, all.regions[one], all.regions[other], rule.soft);
+      const Agreement whole = agreement(laid.of(all.regions[one]), beside.of(all.regions[other]), rule.soft);
       if (pulled(whole, rule) < rule.linked * threshold) continue;
     }
     up[std::max(a, b)] = low, heaviest[low] = mass(other) > mass(one) ? other : one;
@@ -171,6 +205,7 @@ void make_borders_anew(std::vector<Border> &borders, const std::vector<int32_t> 
                        int threads) {
   Rebordering how{numbers, groups, {}};
   how.sort(how.part(borders), threads), how.unite(), how.merge_into(borders);
+  if (borders.size() < borders.capacity() / 2) borders.shrink_to_fit();
 }
 
 }  // namespace drsplat

@@ -13,13 +13,13 @@ struct Border {
 };
 
 // Of edges between single rows.
-std::vector<Border> first_borders(const Regions &, const Votes &, const Edge *, size_t count, double soft, int threads);
+std::vector<Border> first_borders(const Regions &, const Edge *, size_t count, double soft, int threads);
 
 // The agreement of sums over views, pulled towards the prior where few views see both.
 double pulled(const Agreement &, const MergeRule &);
 
 // Gives those a score that have none and may reach the threshold.
-void score(const Regions &, std::vector<Border> &, const MergeRule &, const Votes &, double threshold, int threads);
+void score(const Regions &, std::vector<Border> &, const MergeRule &, double threshold, int threads);
 
 // The new number of each region; neighbours that are, nearly, each other's best share one. How many there are. Of a
 // chain of such neighbours the heaviest on both sides have to agree as well: what is faint and like two regions does

@@ -2,8 +2,10 @@
 
 #include "host/parallel.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <numeric>
 #include <utility>
@@ -21,6 +23,7 @@ constexpr int kRounds = 2;   // of leaving strays out
 constexpr int kTails = 13;   // shares of the mass that a tail may have: none, and steps of one factor up to the largest
 constexpr size_t kFewest = 4;  // points: fewer have no axes in space
 constexpr double kTailStep = 0.77;
+constexpr size_t kSample = 256;
 
 using Vector3 = std::array<double, 3>;
 using Matrix3 = std::array<Vector3, 3>;  // by rows
@@ -86,15 +89,25 @@ struct Normal {
 
 const Normal kNormal;
 
-double tail_share(int number, const BoxRule &rule) {
-  return number ? rule.strays * std::pow(kTailStep, kTails - 1 - number) : 0;
-}
+// Shares of the mass that a tail may have, and for what is left without two of them the power of its mass, as a
+// logarithm.
+struct Tails {
+  std::array<double, kTails> shares;
+  std::array<std::array<double, kTails>, kTails> left;
+
+  explicit Tails(const BoxRule &rule) {
+    for (int i = 0; i < kTails; i++) shares[i] = i ? rule.strays * std::pow(kTailStep, kTails - 1 - i) : 0;
+    for (int i = 0; i < kTails; i++)
+      for (int j = 0; j < kTails; j++) left[i][j] = rule.sparse * std::log(1 - shares[i] - shares[j]);
+  }
+};
 
 // One set's Gaussians along the axes of its box.
 struct Set {
   std::vector<Vector3> points, along, deviations;
-  std::vector<double> mass, near, widths, masses;
+  std::vector<double> mass, near, widths, masses, some;
   std::vector<char> inside;
+  std::vector<std::pair<double, double>> beyond;
 
   void take(const Solids &all, const int64_t *ids, size_t count) {
     points.resize(count), mass.resize(count), along.resize(count), deviations.resize(count);
@@ -214,14 +227,14 @@ struct Set {
 
   // Marks as inside what is in the core along each axis. Axes of everything may be turned by strays, so that a second
   // round has better ones.
-  Matrix3 leave_strays_out(const BoxRule &rule) {
+  Matrix3 leave_strays_out(const BoxRule &rule, const Tails &tails) {
     for (int round = 0; round < kRounds; round++) {
       const Matrix3 axes = axes_of_inside(rule.up);
       for (size_t i = 0; i < points.size(); i++)
         for (int k = 0; k < 3; k++) along[i][k] = dot(axes[k], points[i]);
       inside.assign(points.size(), 1);
       for (int k = 0; k < 3; k++) {
-        const auto [low, high] = core(k, rule);
+        const auto [low, high] = core(k, tails);
         for (size_t i = 0; i < points.size(); i++) inside[i] &= along[i][k] >= low && along[i][k] <= high;
       }
       size_t left = 0;
@@ -232,36 +245,50 @@ struct Set {
   }
 
   // The interval between the centres of two tails that has the largest mass^sparse / length.
-  std::pair<double, double> core(int axis, const BoxRule &rule) {
-    const auto lows = tail(axis, 1, rule), highs = tail(axis, -1, rule);
+  std::pair<double, double> core(int axis, const Tails &tails) {
+    const auto lows = tail(axis, 1, tails), highs = tail(axis, -1, tails);
     const double least = 1e-9 * (highs[0] - lows[0]) + std::numeric_limits<double>::min();
     double best = -std::numeric_limits<double>::infinity();
     std::pair<double, double> ends{lows[0], highs[0]};
     for (int i = 0; i < kTails; i++)
       for (int j = 0; j < kTails; j++) {
-        const double kept = 1 - tail_share(i, rule) - tail_share(j, rule);
-        const double value = rule.sparse * std::log(kept) - std::log(std::max(highs[j] - lows[i], least));
+        const double value = tails.left[i][j] - std::log(std::max(highs[j] - lows[i], least));
         if (highs[j] >= lows[i] && value > best) best = value, ends = {lows[i], highs[j]};
       }
     return ends;
   }
 
   // The centres along an axis with more than each of some shares of the mass on their side of `sign`, itself included.
-  std::array<double, kTails> tail(int axis, double sign, const BoxRule &rule) {
-    std::vector<std::pair<double, double>> heap(points.size());
-    for (size_t i = 0; i < points.size(); i++) heap[i] = {-sign * along[i][axis], mass[i]};
-    std::make_heap(heap.begin(), heap.end());
+  std::array<double, kTails> tail(int axis, double sign, const Tails &tails) {
+    collect_beyond(axis, sign, tails);
     std::array<double, kTails> ends;
     double below = 0, at = 0;
     int found = 0;
-    while (found < kTails && !heap.empty()) {
-      std::pop_heap(heap.begin(), heap.end());
-      at = -sign * heap.back().first, below += heap.back().second;
-      heap.pop_back();
-      while (found < kTails && below > tail_share(found, rule)) ends[(size_t)found++] = at;
+    for (size_t i = 0; found < kTails && i < beyond.size(); i++) {
+      at = -sign * beyond[i].first, below += beyond[i].second;
+      while (found < kTails && below > tails.shares[(size_t)found]) ends[(size_t)found++] = at;
     }
     while (found < kTails) ends[(size_t)found++] = at;
     return ends;
+  }
+
+  // The outermost first. Of many only those beyond a centre that some tell, if they have the mass of the largest tail:
+  // of the others nobody asks the order.
+  void collect_beyond(int axis, double sign, const Tails &tails) {
+    const auto value = [&](size_t i) { return -sign * along[i][(size_t)axis]; };
+    double least = -std::numeric_limits<double>::infinity(), sum = 0;
+    const size_t told = points.size() > 4 * kSample ? kSample : points.size(), last = told / 12;
+    some.resize(told);
+    for (size_t i = 0; i < told; i++) some[i] = value(i * points.size() / told);
+    std::nth_element(some.begin(), some.begin() + (ptrdiff_t)last, some.end(), std::greater<>());
+    if (last) least = some[last];
+    for (bool enough = false; !enough; least = -std::numeric_limits<double>::infinity()) {
+      beyond.clear(), sum = 0;
+      for (size_t i = 0; i < points.size(); i++)
+        if (value(i) >= least) beyond.push_back({value(i), mass[i]}), sum += mass[i];
+      enough = sum > 2 * tails.shares.back() || std::isinf(least);  // then those left out are no numbers
+    }
+    std::sort(beyond.begin(), beyond.end(), std::greater<>());
   }
 
   void drop_strays(std::vector<int64_t> &ids) {
@@ -297,12 +324,13 @@ void order(Matrix3 &axes, Vector3 &low, Vector3 &high, bool upright) {
 
 void boxes(const Solids &all, const int64_t *starts, const int64_t *ids, uint64_t sets, const BoxRule &rule,
            int threads, double *centers, double *axes, double *lengths) {
+  const Tails tails(rule);
   over_rows(sets, 1, threads, [&](int, uint64_t s, uint64_t) {
     Set set;
     Vector3 low, high;
     std::vector<int64_t> members(ids + starts[s], ids + starts[s + 1]);
     set.take(all, members.data(), members.size());
-    Matrix3 own = set.leave_strays_out(rule);
+    Matrix3 own = set.leave_strays_out(rule, tails);
     set.drop_strays(members);
     set.lay_along(all, members.data(), own);
     for (int k = 0; k < 3; k++) low[k] = set.end(k, 1, rule), high[k] = set.end(k, -1, rule);

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <new>
+#include <utility>
 #include <vector>
 
 namespace drsplat {
@@ -20,6 +21,15 @@ struct HugePages {
 
   T *allocate(size_t count) { return (T *)drsplat::allocate(count * sizeof(T)); }
   void deallocate(T *memory, size_t) { release(memory); }
+  // What is not given stays unset: pages on which nobody writes take no memory.
+  template <class U>
+  void construct(U *place) {
+    ::new ((void *)place) U;
+  }
+  template <class U, class Value>
+  void construct(U *place, Value &&value) {
+    ::new ((void *)place) U(std::forward<Value>(value));
+  }
   friend bool operator==(HugePages, HugePages) { return true; }
   friend bool operator!=(HugePages, HugePages) { return false; }
 };

@@ -78,7 +78,8 @@ constexpr int kDigit = 11;
 constexpr uint64_t kDigits = 1 << kDigit, kMost = kDigits * kDigits - 1;
 constexpr int kDropped = 52 - 18;
 constexpr uint64_t kFirst = (uint64_t)(1023 - 9) << 18;
-constexpr ptrdiff_t kFew = 16;  // places that an edge is moved by itself
+constexpr ptrdiff_t kFew = 16;    // places that an edge is moved by itself
+constexpr ptrdiff_t kAhead = 24;  // edges, whose pixels lie anywhere, that are looked up before their turn
 
 uint64_t key_of(double cost) {
   uint64_t bits;
@@ -194,9 +195,14 @@ struct Growing {
     return p;
   }
 
-  std::pair<uint32_t, uint32_t> ends(const Edge &edge) {
-    const uint32_t pixel = edge.place / 4;
-    return {root(pixel), root(pixel + steps[edge.place % 4])};
+  uint32_t pixel(const Edge &edge) { return edge.place / 4; }
+  uint32_t neighbour(const Edge &edge) { return pixel(edge) + steps[edge.place % 4]; }
+
+  std::pair<uint32_t, uint32_t> ends(const Edge &edge) { return {root(pixel(edge)), root(neighbour(edge))}; }
+
+  void fetch(const Edge &edge) {
+    __builtin_prefetch(&nodes[pixel(edge)]);
+    __builtin_prefetch(&nodes[neighbour(edge)]);
   }
 
   void unite(uint32_t a, uint32_t b, double cost) {
@@ -210,6 +216,7 @@ struct Growing {
   void merge_alike(Edges &edges) {
     size_t kept = 0;
     for (const Edge &edge : edges) {
+      fetch(edges.end() - &edge > kAhead ? (&edge)[kAhead] : edge);
       const auto [a, b] = ends(edge);
       if (a == b) continue;
       if (edge.cost < std::min(nodes[a].limit, nodes[b].limit)) unite(a, b, edge.cost);

@@ -25,7 +25,7 @@ struct Planes {
         channels(c),
         depth(up_to(c, kOutputBlock)),
         stride(up_to(w, kVector) + 2 * kVector),
-        values((h + 2 * kRowsAround) * depth * stride) {}
+        values((h + 2 * kRowsAround) * depth * stride, 0.f) {}
   size_t row_step() const { return depth * stride; }
   size_t place(size_t y, size_t c) const { return ((y + kRowsAround) * depth + c) * stride + kVector; }
   float *row(size_t y, size_t c) { return values.data() + place(y, c); }

@@ -3,13 +3,15 @@
 #include "host/parallel.h"
 
 #include <cmath>
-#include <numeric>
 
 namespace drsplat {
 namespace {
 
-constexpr double kGaps = 1.5;  // times what is in use, of what is kept
+constexpr double kUsed = 0.7;               // of a chunk: less is moved
+constexpr size_t kChunkEntries = 1u << 16;  // or a few more, of what is moved
 constexpr uint64_t kBlock = 256;
+constexpr uint64_t kAhead = 8;  // rows
+constexpr size_t kLine = 64;    // bytes that the cache holds together
 
 double dot(const Entry *x, const Entry *x_end, const Entry *y, const Entry *y_end) {
   double sum = 0;
@@ -21,23 +23,81 @@ double dot(const Entry *x, const Entry *x_end, const Entry *y, const Entry *y_en
   return sum;
 }
 
-void first_feature(Regions &all, const Region &region, const Votes &votes, std::vector<double> &sum) {
+void first_feature(Regions &all, uint32_t row, std::vector<double> &sum) {
+  const Votes &votes = all.votes;
   sum.assign(votes.dim, 0.0);
-  const Entry *entries = all.entries_of(region);
-  for (int64_t e = 0; e < all.num_entries(region); e++) {
-    const float *embedding = votes.embeddings + (size_t)entries[e].column * votes.dim;
-    for (uint32_t d = 0; d < votes.dim; d++) sum[d] += (double)entries[e].weight * embedding[d];
+  for (int64_t e = votes.begin(row); e < votes.end(row); e++) {
+    const float *embedding = votes.embeddings + (size_t)votes.columns[e] * votes.dim;
+    for (uint32_t d = 0; d < votes.dim; d++) sum[d] += (double)votes.weights[e] * embedding[d];
   }
-  keep_feature(all, (size_t)region.place, sum);
+  keep_feature(all, row, sum);
+}
+
+// Regions with their sums, which go to a chunk of their own.
+void move_together(Regions &all, const std::vector<int32_t> &regions) {
+  Chunk chunk;
+  size_t sights = 0;
+  for (const int32_t r : regions) chunk.used += all.regions[r].num_entries(), sights += all.regions[r].num_sights + 1;
+  chunk.entries.reserve(chunk.used), chunk.sights.reserve(sights);
+  for (const int32_t r : regions) {
+    Region &region = all.regions[r];
+    const Entry *entries = region.entries;
+    const Sight *own = region.sights;
+    region.entries = chunk.entries.data() + chunk.entries.size();
+    region.sights = chunk.sights.data() + chunk.sights.size();
+    region.chunk = (int32_t)all.chunks.size();
+    chunk.entries.insert(chunk.entries.end(), entries, entries + own[region.num_sights].entry);
+    chunk.sights.insert(chunk.sights.end(), own, own + region.num_sights + 1);
+  }
+  all.chunks.push_back(std::move(chunk));
 }
 
 }  // namespace
 
-Agreement agreement(const Regions &all, const Region &a, const Region &b, double soft) {
+Region Laid::of(const Region &region) {
+  if (!region.is_row()) return region;
+  const Votes &votes = all.votes;
+  Row &row = rows[(size_t)region.place % kRows];
+  if (row.place != region.place) {
+    row.place = region.place, row.num_sights = 0;
+    const auto count = (size_t)region.num_sights;
+    row.entries.resize(count), row.sights.resize(count + 1);
+    double mass = 0;
+    for (size_t e = 0; e < count; e++) {
+      const int32_t column = votes.columns[region.begin + (int64_t)e], view = votes.views[column];
+      const float weight = votes.weights[region.begin + (int64_t)e];
+      row.entries[e] = {column, weight};
+      const bool same = row.num_sights && row.sights[row.num_sights - 1].view == view;
+      mass = same ? mass + weight : weight;
+      row.num_sights += !same;
+      Sight &sight = row.sights[row.num_sights - 1];
+      sight = {view, (float)mass, same ? sight.entry : (uint32_t)e};
+    }
+    row.sights[row.num_sights] = {-1, 0, (uint32_t)count};
+  }
+  return {{row.entries.data()}, row.sights.data(), row.num_sights, region.place, region.node, region.chunk};
+}
+
+void Regions::prefetch(const Region &region) const {
+  const auto lines = [](const auto *from, int32_t count) {
+    for (const char *at = (const char *)from, *end = (const char *)(from + count); at < end; at += kLine)
+      __builtin_prefetch(at);
+  };
+  if (region.is_row())
+    lines(votes.columns + region.begin, region.num_sights), lines(votes.weights + region.begin, region.num_sights);
+  else lines(region.entries, region.num_sights), lines(region.sights, region.num_sights + 1);
+}
+
+void Regions::prefetch_feature(const Region &region) const {
+  const float *feature = features.data() + (size_t)region.place * votes.dim;
+  for (uint32_t d = 0; d < votes.dim; d += kLine / sizeof(float)) __builtin_prefetch(feature + d);
+}
+
+Agreement agreement(const Region &a, const Region &b, double soft) {
   Agreement sum;
-  const Sight *i = all.sights_of(a), *j = all.sights_of(b);
+  const Sight *i = a.sights, *j = b.sights;
   const Sight *i_end = i + a.num_sights, *j_end = j + b.num_sights;
-  const Entry *x = all.entries_of(a), *y = all.entries_of(b);
+  const Entry *x = a.entries, *y = b.entries;
   while (i < i_end && j < j_end) {
     const int32_t one = i->view, other = j->view;
     if (one == other) {
@@ -50,30 +110,40 @@ Agreement agreement(const Regions &all, const Region &a, const Region &b, double
   return sum;
 }
 
+template <class Set>
+void Table::each(const Region &region, Set set) {
+  const Region laid_out = laid.of(region);
+  const Sight *sights = laid_out.sights;
+  const Entry *entries = laid_out.entries;
+  for (int32_t s = 0; s < laid_out.num_sights; s++) set(masses[(size_t)sights[s].view], sights[s].mass);
+  for (size_t e = 0; e < laid_out.num_entries(); e++) set(weights[(size_t)entries[e].column], entries[e].weight);
+}
+
+// Of views that see but one, nothing is added: that is quicker than to look for them.
 Agreement Table::of(const Region &a, const Region &b, double soft) {
   if (held != &a) {
     if (held) each(*held, [](float &x, float) { x = 0; });
     each(a, [](float &x, float value) { x = value; }), held = &a;
   }
-  Agreement sum;
-  const Entry *entries = all.entries_of(b);
-  const Sight *sight = all.sights_of(b), *end = sight + b.num_sights;
-  for (; sight < end; sight++) {
-    const double mass = masses[(size_t)sight->view];
-    if (mass == 0) continue;
-    const double known = (mass + soft) * (sight->mass + soft);
+  const Region laid_out = laid.of(b);
+  const Entry *entry = laid_out.entries;
+  double shared = 0, seen = 0;
+  for (const Sight *sight = laid_out.sights, *end = sight + laid_out.num_sights; sight < end; sight++) {
+    const double mass = masses[(size_t)sight->view], known = (mass + soft) * (sight->mass + soft);
     double both = 0;
-    for (uint32_t e = sight[0].entry; e < sight[1].entry; e++)
-      both += (double)weights[(size_t)entries[e].column] * entries[e].weight;
-    sum.shared += both / known, sum.seen += mass * sight->mass / known;
+    for (const Entry *next = laid_out.entries + sight[1].entry; entry < next; entry++)
+      both += (double)weights[(size_t)entry->column] * entry->weight;
+    shared += both / known;
+    seen += mass * sight->mass / known;
   }
-  return sum;
+  return {shared, seen};
 }
 
-double distance(const Regions &all, const Region &a, const Region &b, uint32_t dim, double unit) {
+double distance(const Regions &all, const Region &a, const Region &b, double unit) {
+  const size_t dim = all.votes.dim;
   const float *f = all.features.data() + (size_t)a.place * dim, *g = all.features.data() + (size_t)b.place * dim;
   double cosine = 0;
-  for (uint32_t d = 0; d < dim; d++) cosine += (double)f[d] * g[d];
+  for (size_t d = 0; d < dim; d++) cosine += (double)f[d] * g[d];
   return std::max(0.0, 1 - cosine) / unit;
 }
 
@@ -99,42 +169,37 @@ void keep_feature(Regions &all, size_t place, const std::vector<double> &sum) {
 }
 
 Regions first_regions(const Votes &votes, int threads) {
-  Regions all;
-  const size_t weights = (size_t)(votes.starts[votes.rows] - votes.starts[0]);
-  all.regions.reserve(votes.rows), all.entries.reserve(2 * weights), all.sights.reserve(2 * (weights + votes.rows));
-  for (uint32_t r = 0; r < votes.rows; r++) {
-    const auto entries = (int64_t)all.entries.size(), sights = (int64_t)all.sights.size();
-    for (int64_t e = votes.begin(r); e < votes.end(r); e++) all.entries.push_back({votes.columns[e], votes.weights[e]});
-    const size_t count = all.entries.size() - (size_t)entries;
-    const int32_t seen = add_sights(all.entries.data() + entries, count, votes.views, all.sights);
-    all.regions.push_back({sights, entries, seen, (int32_t)r, (int32_t)r});
+  Regions all{votes, {}, {}, {}, {}};
+  all.regions.reserve(votes.rows);
+  for (int32_t r = 0; r < (int32_t)votes.rows; r++) {
+    Region row{{nullptr}, nullptr, (int32_t)(votes.end(r) - votes.begin(r)), r, r, -1};
+    row.begin = votes.begin(r), all.regions.push_back(row);
   }
   all.features.resize((size_t)votes.rows * votes.dim), all.lengths.resize(votes.rows);
   over_rows(votes.rows, kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
     std::vector<double> sum;
-    for (uint64_t r = begin; r < end; r++) first_feature(all, all.regions[r], votes, sum);
+    for (uint64_t r = begin; r < end; r++) {
+      if (r + kAhead < end) all.prefetch(all.regions[r + kAhead]);
+      first_feature(all, (uint32_t)r, sum);
+    }
   });
   return all;
 }
 
 void close_gaps(Regions &all) {
-  int64_t used = 0;
-  for (const Region &region : all.regions) used += all.num_entries(region);
-  if ((double)all.entries.size() <= kGaps * (double)used) return;
-  std::vector<int32_t> order((size_t)all.count());
-  std::iota(order.begin(), order.end(), 0);
-  const auto earlier = [&](int32_t x, int32_t y) { return all.regions[x].sights < all.regions[y].sights; };
-  std::sort(order.begin(), order.end(), earlier);
-  int64_t sights = 0, entries = 0;
-  for (const int32_t r : order) {
-    Region &region = all.regions[r];
-    const int64_t count = all.num_entries(region), num_sights = region.num_sights + 1;
-    std::copy_n(all.entries.begin() + region.entries, count, all.entries.begin() + entries);
-    std::copy_n(all.sights.begin() + region.sights, num_sights, all.sights.begin() + sights);
-    region.sights = sights, region.entries = entries;
-    sights += num_sights, entries += count;
+  const size_t count = all.chunks.size();
+  const auto sparse = [&](const Chunk &chunk) { return (double)chunk.used < kUsed * (double)chunk.entries.size(); };
+  std::vector<int32_t> moved;
+  size_t entries = 0;
+  for (int32_t r = 0; r < all.count(); r++) {
+    const Region &region = all.regions[r];
+    if (region.is_row() || !sparse(all.chunks[region.chunk])) continue;
+    moved.push_back(r), entries += region.num_entries();
+    if (entries >= kChunkEntries) move_together(all, moved), moved.clear(), entries = 0;
   }
-  all.sights.resize((size_t)sights), all.entries.resize((size_t)entries);
+  if (!moved.empty()) move_together(all, moved);
+  for (size_t c = 0; c < count; c++)
+    if (sparse(all.chunks[c])) all.chunks[c] = {};
 }
 
 }  // namespace drsplat

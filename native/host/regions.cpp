@@ -23,44 +23,73 @@ struct Summing {
 
   size_t size() const { return ends.empty() ? 0 : ends.back(); }
 
-  void add(const Entry *entries, size_t count) {
+  void add(const Regions &all, const Region &region) {
+    if (region.is_row()) {
+      const int32_t *columns = all.votes.columns + region.begin;
+      const float *weights = all.votes.weights + region.begin;
+      add(region.num_entries(), [&](size_t e) -> Sum { return {columns[e], weights[e]}; });
+    } else {
+      add(region.num_entries(), [&](size_t e) -> Sum { return {region.entries[e].column, region.entries[e].weight}; });
+    }
+  }
+
+  template <class At>
+  void add(size_t count, At at) {
     const size_t begin = size();
     if (runs.size() < begin + count) runs.resize(begin + count);
-    for (size_t e = 0; e < count; e++) runs[begin + e] = {entries[e].column, entries[e].weight};
+    for (size_t e = 0; e < count; e++) runs[begin + e] = at(e);
     ends.push_back(begin + count);
   }
 
-  void merge() {
-    for (; ends.size() > 1; runs.swap(merged)) {
-      if (merged.size() < size()) merged.resize(size());
-      Sum *to = merged.data();
-      size_t kept = 0;
-      for (size_t r = 0, begin = 0; r < ends.size(); r += 2) {
-        const size_t middle = ends[r], end = r + 1 < ends.size() ? ends[r + 1] : middle;
-        to = merge(runs.data() + begin, runs.data() + middle, runs.data() + end, to);
-        ends[kept++] = (size_t)(to - merged.data()), begin = end;
-      }
-      ends.resize(kept);
-    }
+  // The last two runs are merged into `to`, at its end.
+  void merge_into(std::vector<Entry> &to) {
+    while (ends.size() > 2) merge_pairs();
+    const size_t begin = to.size(), middle = ends[0], end = ends.back();
+    to.resize(begin + end);
+    const Entry *last = merge(runs.data(), runs.data() + middle, runs.data() + end, to.data() + begin);
+    to.resize((size_t)(last - to.data()));
   }
 
-  static Sum *merge(const Sum *x, const Sum *middle, const Sum *end, Sum *to) {
+  void merge_pairs() {
+    if (merged.size() < size()) merged.resize(size());
+    Sum *to = merged.data();
+    size_t kept = 0;
+    for (size_t r = 0, begin = 0; r < ends.size(); r += 2) {
+      const size_t middle = ends[r], end = r + 1 < ends.size() ? ends[r + 1] : middle;
+      to = merge(runs.data() + begin, runs.data() + middle, runs.data() + end, to);
+      ends[kept++] = (size_t)(to - merged.data()), begin = end;
+    }
+    ends.resize(kept), runs.swap(merged);
+  }
+
+  template <class To>
+  static To *merge(const Sum *x, const Sum *middle, const Sum *end, To *to) {
+    const auto kept = [](int32_t column, double weight) -> To { return {column, (decltype(To::weight))weight}; };
     const Sum *y = middle;
     while (x < middle && y < end) {
       const int32_t p = x->column, q = y->column;
-      *to++ = {std::min(p, q), (p <= q ? x->weight : 0) + (q <= p ? y->weight : 0)};
+      *to++ = kept(std::min(p, q), (p <= q ? x->weight : 0) + (q <= p ? y->weight : 0));
       x += p <= q, y += q <= p;
     }
-    return std::copy(y, end, std::copy(x, middle, to));
+    for (; x < middle; x++) *to++ = kept(x->column, x->weight);
+    for (; y < end; y++) *to++ = kept(y->column, y->weight);
+    return to;
   }
 };
 
-// New regions of several, and what is to be known of them. Numbers in them count from the part's own beginnings.
+// New regions of several, and what is to be known of them.
 struct Part {
   std::vector<Region> regions;
-  std::vector<Sight> sights;
-  std::vector<Entry> entries;
   std::vector<float> fits, spreads;
+  Chunk chunk;
+};
+
+// Room for the sums of a part, as large as it ever had to be.
+struct Making {
+  Summing sums;
+  std::vector<double> feature;
+  std::vector<Entry> entries;
+  std::vector<Sight> sights;
 };
 
 // Grows the forest: merges regions, and keeps the nodes that they are.
@@ -83,13 +112,14 @@ struct Growing {
   }
 
   // The mean over the views that see a region of the IoU with the mask that is most like it there.
-  double fit(const Sight *sights, int32_t num_sights, const Entry *entries) const {
+  double fit(const Region &region) const {
     double sum = 0, seen = 0;
-    for (int32_t i = 0; i < num_sights; i++) {
-      const double mass = sights[i].mass;
+    for (int32_t i = 0; i < region.num_sights; i++) {
+      const double mass = region.sights[i].mass;
       double best = 0;
-      for (uint32_t e = sights[i].entry; e < sights[i + 1].entry; e++) {
-        const double both = entries[e].weight, either = mass + mask_masses[entries[e].column] - both;
+      for (uint32_t e = region.sights[i].entry; e < region.sights[i + 1].entry; e++) {
+        const Entry &entry = region.entries[e];
+        const double both = entry.weight, either = mass + mask_masses[entry.column] - both;
         if (either > 0) best = std::max(best, both / either);
       }
       sum += best * mass / (mass + rule.far), seen += mass / (mass + rule.far);
@@ -106,7 +136,7 @@ struct Growing {
     for (size_t i = 0; i < count; i++) {
       most = std::max(most, (double)forest.spreads[all.regions[members[i]].node]);
       if (members[i] != largest && size(members[i]) >= rule.smallest)
-        most = std::max(most, distance(all, all.regions[largest], all.regions[members[i]], votes.dim, rule.unit));
+        most = std::max(most, distance(all, all.regions[largest], all.regions[members[i]], rule.unit));
     }
     return most;
   }
@@ -122,47 +152,55 @@ struct Growing {
     for (uint32_t d = 0; d < votes.dim; d++) sum[d] += (double)all.lengths[region.place] * feature[d];
   }
 
-  void add(const int32_t *members, size_t count, Summing &sums, std::vector<double> &sum, Part &part) {
-    sums.ends.clear();
-    for (size_t i = 0; i < count; i++)
-      sums.add(all.entries_of(all.regions[members[i]]), (size_t)all.num_entries(all.regions[members[i]]));
-    sums.merge();
-    Region region{(int64_t)part.sights.size(), (int64_t)part.entries.size(), 0, all.regions[members[0]].place, 0};
-    part.entries.resize(part.entries.size() + sums.size());
-    Entry *entries = part.entries.data() + region.entries;
-    for (size_t e = 0; e < sums.size(); e++) entries[e] = {sums.runs[e].column, (float)sums.runs[e].weight};
-    region.num_sights = add_sights(entries, sums.size(), votes.views, part.sights);
-    part.regions.push_back(region);
-    const bool known = judged(members, count);
-    part.fits.push_back(known ? (float)fit(part.sights.data() + region.sights, region.num_sights, entries) : 0.f);
-    part.spreads.push_back(known ? (float)spread(members, count) : 0.f);
-    sum.assign(votes.dim, 0.0);
-    for (size_t i = 0; i < count; i++) add_feature(all.regions[members[i]], sum);
-    keep_feature(all, (size_t)region.place, sum);
+  // Where its sums are is told when the part is whole.
+  void add(const int32_t *members, size_t count, Making &making, Part &part) {
+    making.sums.ends.clear();
+    for (size_t i = 0; i < count; i++) making.sums.add(all, all.regions[members[i]]);
+    const size_t begin = making.entries.size();
+    making.sums.merge_into(making.entries);
+    const int32_t seen =
+        add_sights(making.entries.data() + begin, making.entries.size() - begin, votes.views, making.sights);
+    part.regions.push_back({{nullptr}, nullptr, seen, all.regions[members[0]].place, -1, -1});
+    part.spreads.push_back(judged(members, count) ? (float)spread(members, count) : -1.f);
+    making.feature.assign(votes.dim, 0.0);
+    for (size_t i = 0; i < count; i++) add_feature(all.regions[members[i]], making.feature);
+    keep_feature(all, (size_t)part.regions.back().place, making.feature);
+  }
+
+  // Of a part that is whole: its sums become a chunk, and those of its regions that are judged get their fits.
+  void finish(const Making &making, Part &part) const {
+    part.chunk.entries = making.entries, part.chunk.sights = making.sights, part.chunk.used = making.entries.size();
+    const Entry *entries = part.chunk.entries.data();
+    const Sight *sights = part.chunk.sights.data();
+    for (size_t i = 0; i < part.regions.size(); i++) {
+      Region &region = part.regions[i];
+      region.entries = entries, region.sights = sights;
+      entries += region.num_entries(), sights += region.num_sights + 1;
+      part.fits.push_back(part.spreads[i] < 0 ? 0.f : (float)fit(region));
+      part.spreads[i] = std::max(part.spreads[i], 0.f);
+    }
   }
 
   // Merges each group of several.
   void merge(const Groups &groups, double threshold, int threads) {
     std::vector<Part> parts((groups.several.size() + kBlock - 1) / kBlock);
-    over_rows(groups.several.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
-      Summing sums;
-      std::vector<double> sum;
+    std::vector<Making> makings((size_t)threads);
+    over_rows(groups.several.size(), kBlock, threads, [&](int t, uint64_t begin, uint64_t end) {
+      Making &making = makings[(size_t)t];
+      making.entries.clear(), making.sights.clear();
       for (uint64_t i = begin; i < end; i++) {
         const auto n = (size_t)groups.several[i];
-        add(groups.members.data() + groups.begins[n], groups.size(n), sums, sum, parts[begin / kBlock]);
+        add(groups.members.data() + groups.begins[n], groups.size(n), making, parts[begin / kBlock]);
       }
+      finish(making, parts[begin / kBlock]);
     });
     renumber(groups, threshold, parts);
-    for (const Part &part : parts) {
-      all.sights.insert(all.sights.end(), part.sights.begin(), part.sights.end());
-      all.entries.insert(all.entries.end(), part.entries.begin(), part.entries.end());
-    }
+    for (Part &part : parts) all.chunks.push_back(std::move(part.chunk));
     close_gaps(all);
   }
 
   // Puts regions in their new places, none of which is behind the old one.
   void renumber(const Groups &groups, double threshold, const std::vector<Part> &parts) {
-    auto sights = (int64_t)all.sights.size(), entries = (int64_t)all.entries.size();
     size_t next = 0;
     for (size_t n = 0; n + 1 < groups.begins.size(); n++) {
       const int32_t *members = groups.members.data() + groups.begins[n];
@@ -171,12 +209,15 @@ struct Growing {
         continue;
       }
       const Part &part = parts[next / kBlock];
-      const size_t i = next++ % kBlock;
+      const size_t i = next % kBlock;
+      for (size_t m = 0; m < groups.size(n); m++) {
+        const Region &member = all.regions[members[m]];
+        if (!member.is_row()) all.chunks[member.chunk].used -= member.num_entries();
+      }
       Region region = part.regions[i];
-      region.sights += sights, region.entries += entries;
+      region.chunk = (int32_t)(all.chunks.size() + next++ / kBlock);
       region.node = new_node(members, groups.size(n), threshold, part.fits[i], part.spreads[i]);
       all.regions[n] = region;
-      if (i + 1 == part.regions.size()) sights += (int64_t)part.sights.size(), entries += (int64_t)part.entries.size();
     }
     all.regions.resize(groups.begins.size() - 1);
   }
@@ -201,10 +242,10 @@ Forest agglomerate(const Votes &votes, const Edge *edges, size_t num_edges, cons
                    const MergeRule &rule, int threads) {
   Growing growing(votes, rule, threads);
   Regions &all = growing.all;
-  std::vector<Border> borders = first_borders(all, votes, edges, num_edges, rule.soft, threads);
+  std::vector<Border> borders = first_borders(all, edges, num_edges, rule.soft, threads);
   for (size_t t = 0; t < thresholds.size(); t++)
     for (int round = 0; round < rule.rounds && !borders.empty(); round++) {
-      score(all, borders, rule, votes, thresholds[t], threads);
+      score(all, borders, rule, thresholds[t], threads);
       const int32_t before = all.count();
       std::vector<int32_t> numbers((size_t)before);
       const int32_t count = joined(all, borders, growing.forest.masses, rule, thresholds[t], numbers);

@@ -1,4 +1,5 @@
 #include "host/splatting.h"
+#include "host/sorting.h"
 
 #include <new>
 
@@ -10,56 +11,63 @@ struct TileRun {
   size_t begin, end;
 };  // where a tile's triples lie
 
-// Adds one weight to the last Gaussian's entries, which begin at `first` and stay sorted by segment.
-void add_weight(MergedTriples &out, size_t first, uint32_t id, SegmentWeight entry) {
-  int32_t *segments = out.segment_ids.data();
-  float *weights = out.weights.data();
-  size_t at = out.size;
-  while (at > first && segments[at - 1] > entry.segment) at--;
-  if (at > first && segments[at - 1] == entry.segment) {
-    weights[at - 1] += entry.weight;
-    return;
-  }
-  for (size_t i = out.size; i > at; i--) segments[i] = segments[i - 1], weights[i] = weights[i - 1];
-  segments[at] = entry.segment, weights[at] = entry.weight;
-  out.gaussian_ids[out.size++] = id;
-}
-
-// Sorts the triples of Gaussians [begin, end) by Gaussian (in tile order, so that sums do not
-// depend on who computed which tile), then adds up equal segments of each Gaussian.
-void merge_part(const Workspace &w, const std::vector<TileRun> &runs, uint32_t begin, uint32_t end, Worker &worker) {
-  const uint32_t rows = end - begin;
-  auto &start = worker.row_start;
-  start.assign(rows + 2, 0);  // counts of row r go to r + 2, so that filling leaves starts in place
-  const auto each_triple = [&](auto visit) {
-    for (const TileRun &run : runs) {
-      const Triples &triples = w.workers[run.worker]->triples;
-      const auto *id = (const uint32_t *)triples.gaussian_ids.data;
-      for (size_t i = run.begin; i < run.end; i++)
-        if (id[i] - begin < rows) visit(id[i] - begin, triples, i);
+// All triples in the order of their tiles, so that sums do not depend on who computed which.
+uint32_t gather_triples(Workspace &w, const std::vector<TileRun> &runs, int threads) {
+  std::vector<size_t> starts(runs.size() + 1);
+  for (size_t i = 0; i < runs.size(); i++) starts[i + 1] = starts[i] + (runs[i].end - runs[i].begin);
+  const size_t count = starts.back();
+  if (count > UINT32_MAX) throw std::bad_alloc();  // 48 GiB of them; rows are counted in 32 bits
+  grow(w.triples, count), grow(w.other_triples, count);
+  over_parts(runs.size(), threads, [&](int, size_t begin, size_t end) {
+    for (size_t r = begin; r < end; r++) {
+      const Triples &from = w.workers[runs[r].worker]->triples;
+      Triple *to = w.triples.data() + starts[r];
+      for (size_t i = runs[r].begin; i < runs[r].end; i++)
+        *to++ = {((const uint32_t *)from.gaussian_ids.data)[i], ((const int32_t *)from.segment_ids.data)[i],
+                 ((const float *)from.weights.data)[i]};
     }
-  };
-  each_triple([&](uint32_t row, const Triples &, size_t) { start[row + 2]++; });
-  for (uint32_t r = 2; r < rows + 2; r++) start[r] += start[r - 1];
-  grow(worker.by_row, start[rows + 1]);
-  each_triple([&](uint32_t row, const Triples &triples, size_t i) {
-    worker.by_row[start[row + 1]++] = {((const int32_t *)triples.segment_ids.data)[i],
-                                       ((const float *)triples.weights.data)[i]};
   });
-  const uint32_t size = start[rows];
-  MergedTriples &out = worker.merged;
-  grow(out.gaussian_ids, size), grow(out.segment_ids, size), grow(out.weights, size);
+  return (uint32_t)count;
+}
+
+// Adds up triples of one Gaussian and segment, of those whose first is in [begin, end).
+void merge_part(const Workspace &w, uint32_t count, uint32_t begin, uint32_t end, MergedTriples &out) {
+  const auto follows = [&](uint32_t i) {
+    const Triple &a = w.triples[i - 1], &b = w.triples[i];
+    return (a.gaussian == b.gaussian) & (a.segment == b.segment);
+  };
+  while (begin > 0 && begin < end && follows(begin)) begin++;
+  while (end > begin && end < count && follows(end)) end++;
+  grow(out.gaussian_ids, end - begin), grow(out.segment_ids, end - begin), grow(out.weights, end - begin);
   out.size = 0;
-  for (uint32_t row = 0; row < rows; row++) {
-    const size_t first = out.size;
-    for (uint32_t i = start[row]; i < start[row + 1]; i++) add_weight(out, first, begin + row, worker.by_row[i]);
+  float sum = 0;
+  for (uint32_t i = begin; i < end; i++) {  // without a branch, which is not to be foreseen
+    const bool more = i > begin && follows(i);
+    out.size += !more;
+    sum = w.triples[i].weight + (more ? sum : 0.f);
+    out.gaussian_ids[out.size - 1] = w.triples[i].gaussian, out.segment_ids[out.size - 1] = w.triples[i].segment;
+    out.weights[out.size - 1] = sum;
   }
 }
 
-// Merged in memory that is kept from view to view, then copied: fresh pages cost more than the copy.
-ViewTriples merge(const Workspace &w, const std::vector<TileRun> &runs, uint32_t count, int threads) {
+// Stable: equal ones stay in the order of their tiles.
+void sort_triples(Workspace &w, uint32_t count, uint32_t gaussians, int threads) {
+  uint32_t most = 0;
+  for (uint32_t i = 0; i < count; i++) most = std::max(most, (uint32_t)w.triples[i].segment);
+  for (int shift = 0; shift < 32 && most >> shift; shift += 11)
+    radix_pass(w, w.triples, w.other_triples, count, 11, threads,
+               [=](const Triple &triple) { return (uint32_t)triple.segment >> shift & 0x7ff; });
+  for (int shift = 0; shift < 32 && gaussians >> shift; shift += 11)
+    radix_pass(w, w.triples, w.other_triples, count, 11, threads,
+               [=](const Triple &triple) { return triple.gaussian >> shift & 0x7ff; });
+}
+
+// In memory that is kept from view to view, then copied: fresh pages cost more than the copy.
+ViewTriples merge(Workspace &w, const std::vector<TileRun> &runs, uint32_t gaussians, int threads) {
+  const uint32_t count = gather_triples(w, runs, threads);
+  sort_triples(w, count, gaussians, threads);
   over_parts(count, threads,
-             [&](int t, uint32_t begin, uint32_t end) { merge_part(w, runs, begin, end, *w.workers[t]); });
+             [&](int t, uint32_t begin, uint32_t end) { merge_part(w, count, begin, end, w.workers[t]->merged); });
   size_t total = 0;
   for (int t = 0; t < threads; t++) total += w.workers[t]->merged.size;
   ViewTriples out;
@@ -89,9 +97,6 @@ ViewTriples view_weights(const Kernels &kernels, const Scene &scene, const Camer
     runs[i] = {t, begin, worker.triples.size};
   });
   const double t1 = now();
-  size_t triples = 0;
-  for (const auto &worker : w->workers) triples += worker->triples.size;
-  if (triples > UINT32_MAX) throw std::bad_alloc();  // 48 GiB of them; rows are counted in 32 bits
   ViewTriples out = merge(*w, runs, scene.count, threads);
   seconds.composite = t1 - t0, seconds.merge = now() - t1;
   return out;

@@ -1,4 +1,5 @@
 #include "host/tiling.h"
+#include "host/sorting.h"
 
 #include <algorithm>
 #include <cstring>
@@ -28,27 +29,6 @@ void project_all(Workspace &w, const Kernels &kernels, const Scene &scene, const
       w.keys[at++] = (uint64_t)bits << 32 | i;
     }
   }
-}
-
-// One stable counting-sort pass over `bits` bits of the keys; thread histograms keep it stable.
-void radix_pass(Workspace &w, int shift, int bits, int threads) {
-  const uint32_t buckets = 1u << bits, mask = buckets - 1;
-  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
-    auto &counts = w.workers[t]->depth_counts;
-    counts.assign(buckets, 0);
-    for (uint32_t i = begin; i < end; i++) counts[w.keys[i] >> shift & mask]++;
-  });
-  uint32_t sum = 0;
-  for (uint32_t b = 0; b < buckets; b++)
-    for (int t = 0; t < threads; t++) {
-      uint32_t &c = w.workers[t]->depth_counts[b], n = c;
-      c = sum, sum += n;
-    }
-  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
-    auto &next = w.workers[t]->depth_counts;
-    for (uint32_t i = begin; i < end; i++) w.other_keys[next[w.keys[i] >> shift & mask]++] = w.keys[i];
-  });
-  w.keys.swap(w.other_keys);
 }
 
 uint32_t bits_at(const float *column, uint32_t row) {
@@ -108,7 +88,11 @@ void settle_ties(Workspace &w, const Scene &scene, int threads) {
 
 // Front to back; of equal depths by content.
 void sort_by_depth(Workspace &w, const Scene &scene, int threads, bool way_back) {
-  for (int pass = 0; pass < 3; pass++) radix_pass(w, 32 + 11 * pass, pass == 2 ? 10 : 11, threads);
+  for (int shift = 32; shift < 64; shift += 11) {
+    const int bits = std::min(11, 64 - shift);
+    radix_pass(w, w.keys, w.other_keys, w.visible, bits, threads,
+               [=](uint64_t key) { return (uint32_t)(key >> shift) & ((1u << bits) - 1); });
+  }
   settle_ties(w, scene, threads);
   grow(w.splats, w.visible), grow(w.extents, w.visible);
   if (way_back) grow(w.ranks, w.projected.size());
@@ -125,59 +109,78 @@ void sort_by_depth(Workspace &w, const Scene &scene, int threads, bool way_back)
   });
 }
 
-// Room for each splat's places, in index order: as many as tiles in its spans.
-void find_places(Workspace &w, uint64_t pairs, int threads) {
-  const size_t n = w.projected.size();
-  grow(w.places, pairs + 1), grow(w.places_start, n + 1);
-  std::fill_n(w.places_start.begin(), n + 1, 0);
+// The spans of each tile row, front to back; a counting sort by row.
+void find_spans(Workspace &w, const Kernels &kernels, int threads) {
   over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
-    const uint32_t *span = w.workers[t]->spans.data();
-    for (uint32_t i = begin; i < end; i++) {
-      uint32_t count = 0;
-      for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++) count += (*span >> 16) - (*span & 0xffff);
-      w.places_start[(uint32_t)w.keys[i] + 1] = count;
-    }
+    auto &counts = w.workers[t]->row_counts;
+    counts.assign(w.rows + 1, 0);
+    for (uint32_t i = begin; i < end; i++) counts[w.extents[i].y0]++, counts[w.extents[i].y1]--;
+    for (int row = 1; row < w.rows; row++) counts[row] += counts[row - 1];
   });
-  for (size_t i = 0; i < n; i++) w.places_start[i + 1] += w.places_start[i];
-}
-
-// Counting sort of (tile, splat) pairs by tile; since splats come in depth order, so does every list.
-void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_back) {
-  const int tiles = w.columns * w.rows;
-  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
-    Worker &worker = *w.workers[t];
-    size_t rows = 0;
-    for (uint32_t i = begin; i < end; i++) rows += w.extents[i].y1 - w.extents[i].y0;
-    grow(worker.spans, rows);
-    worker.tile_counts.assign(tiles + 1, 0);
-    kernels.tile_spans(w.splats.data() + begin, w.extents.data() + begin, end - begin, w.columns, worker.spans.data(),
-                       worker.tile_counts.data());
-    for (int tile = 1; tile < tiles; tile++) worker.tile_counts[tile] += worker.tile_counts[tile - 1];
-  });
-  grow(w.tile_start, tiles + 1);
+  grow(w.spans_start, w.rows + 1);
   uint64_t sum = 0;
-  for (int tile = 0; tile < tiles; tile++) {
-    w.tile_start[tile] = (uint32_t)sum;
+  for (int row = 0; row < w.rows; row++) {
+    w.spans_start[row] = (uint32_t)sum;
     for (int t = 0; t < threads; t++) {
-      uint32_t &c = w.workers[t]->tile_counts[tile], n = c;
+      uint32_t &c = w.workers[t]->row_counts[row], n = c;
       c = (uint32_t)sum, sum += n;
     }
   }
   if (sum > UINT32_MAX) throw std::bad_alloc();
+  w.spans_start[w.rows] = (uint32_t)sum;
+  grow(w.spans, sum);
+  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
+    kernels.tile_spans(w.splats.data(), w.extents.data(), begin, end, w.spans.data(), w.workers[t]->row_counts.data());
+  });
+}
+
+// Calls visit(span, numbers of its row's tiles and one more, row) for all spans, each row's on one thread.
+template <class Visit>
+void each_span(Workspace &w, uint32_t *tiles, int threads, Visit visit) {
+  over_rows((uint64_t)w.rows, 1, threads, [&](int, uint64_t row, uint64_t) {
+    for (uint32_t i = w.spans_start[row]; i < w.spans_start[row + 1]; i++)
+      visit(w.spans[i], tiles + row * ((uint64_t)w.columns + 1), (int)row);
+  });
+}
+
+// Where each splat's rows of sums begin, in index order: as many as tiles in its spans.
+void find_rows(Workspace &w, uint64_t pairs, int threads) {
+  const size_t n = w.projected.size();
+  grow(w.rows_of_list, pairs), grow(w.rows_start, n + 1);
+  std::fill_n(w.rows_start.begin(), n + 1, 0);
+  each_span(w, w.tile_next.data(), threads, [&](const TileSpan &span, uint32_t *, int row) {
+    if (row + 1 == w.extents[span.splat].y1)
+      w.rows_start[(uint32_t)w.keys[span.splat] + 1] = span.before + span.last - span.first;
+  });
+  for (size_t i = 0; i < n; i++) w.rows_start[i + 1] += w.rows_start[i];
+}
+
+// Counting sort of (tile, splat) pairs by tile, a row of tiles at a time, whose ends of lists stay in the cache; since
+// spans come in depth order, so does every list.
+void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_back) {
+  find_spans(w, kernels, threads);
+  const size_t tiles = (size_t)w.columns * w.rows;
+  grow(w.tile_start, tiles + 1), grow(w.tile_next, tiles + w.rows);
+  // first, by how much more splats touch a tile than the one before
+  std::fill_n(w.tile_next.begin(), tiles + w.rows, 0);
+  each_span(w, w.tile_next.data(), threads,
+            [](const TileSpan &span, uint32_t *changes, int) { changes[span.first]++, changes[span.last]--; });
+  uint64_t sum = 0;
+  uint32_t *next = w.tile_next.data(), *start = w.tile_start.data();
+  for (int row = 0; row < w.rows; row++, next++)
+    for (uint32_t x = 0, count = 0; x < (uint32_t)w.columns; x++, next++) {
+      count += *next;
+      *start++ = *next = (uint32_t)sum, sum += count;
+    }
+  if (sum > UINT32_MAX) throw std::bad_alloc();
   w.tile_start[tiles] = (uint32_t)sum;
   grow(w.list, sum);
-  if (way_back) find_places(w, sum, threads);
-  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
-    Worker &worker = *w.workers[t];
-    const uint32_t *span = worker.spans.data();
-    for (uint32_t i = begin; i < end; i++) {
-      uint32_t *place = way_back ? &w.places[w.places_start[(uint32_t)w.keys[i]]] : nullptr;
-      for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++)
-        for (uint32_t x = *span & 0xffff; x < *span >> 16; x++) {
-          const uint32_t at = worker.tile_counts[(size_t)row * w.columns + x]++;
-          w.list[at] = i;
-          if (place) *place++ = at;
-        }
+  if (way_back) find_rows(w, sum, threads);
+  each_span(w, w.tile_next.data(), threads, [&](const TileSpan &span, uint32_t *at, int) {
+    uint32_t row_of_sums = way_back ? w.rows_start[(uint32_t)w.keys[span.splat]] + span.before : 0;
+    for (uint32_t x = span.first; x < span.last; x++) {
+      if (way_back) w.rows_of_list[at[x]] = row_of_sums++;
+      w.list[at[x]++] = span.splat;
     }
   });
 }

@@ -13,7 +13,7 @@ inline double now() {
 
 struct StageSeconds { double project = 0, sort = 0, bin = 0, composite = 0, merge = 0; };
 
-// Projects, sorts by depth and bins into tiles. `way_back` fills ranks and places.
+// Projects, sorts by depth and bins into tiles. `way_back` fills ranks and rows.
 StageSeconds prepare(Workspace &, const Kernels &, const Scene &, const Camera &, int threads, bool way_back = false);
 
 // Calls work(worker number, tile number, tile) for every tile, on whichever thread is free.

@@ -42,13 +42,19 @@ void TrainingPass::forward(float *image, float *alpha) {
 }
 
 Visible TrainingPass::visible_of(int thread) const {
-  const uint32_t begin = part_start(parameters_.count, threads_, thread);
-  return {space_->projected.data() + begin, space_->projected_extents.data() + begin, space_->ranks.data() + begin,
-          space_->places_start.data() + begin, space_->projected_counts[thread]};
+  const uint32_t begin = part_start(parameters_.count, threads_, thread),
+                 end = part_start(parameters_.count, threads_, thread + 1);
+  return {space_->projected.data() + begin,
+          space_->projected_extents.data() + begin,
+          space_->ranks.data() + begin,
+          space_->rows_start.data() + begin,
+          space_->projected_counts[thread],
+          begin,
+          end};
 }
 
-GradientArrays TrainingPass::cleared_gradients() {
-  const size_t n = parameters_.count, sh = 3 * (size_t)parameters_.coefficients,
+GradientArrays TrainingPass::cleared_gradients(bool harmonics) {
+  const size_t n = parameters_.count, sh = harmonics ? 3 * (size_t)parameters_.coefficients : 0,
                sizes[7] = {3 * n, 3 * n, 4 * n, n, sh * n, n, n}, total = (13 + sh) * n;
   Kept<float> &all = space_->gradients;
   grow(all, total);
@@ -59,40 +65,31 @@ GradientArrays TrainingPass::cleared_gradients() {
   return {at[0], at[1], at[2], at[3], at[4], at[5], at[6]};
 }
 
-GradientArrays TrainingPass::backward(const float *image, const float *image_gradient) {
+GradientArrays TrainingPass::backward(const float *image, const float *image_gradient, const HarmonicsStep *step) {
   Workspace &w = *space_;
   const double t0 = now();
   grow(w.sums, (size_t)w.tile_start[w.columns * w.rows] * kSplatSums + 1);
   each_tile(w, camera_, threads_, [&](int t, int i, const Tile &tile) {
-    kernels_.tile_backward(tile, w.blocks.data() + w.tile_start[i], w.colors.data(), image, image_gradient,
-                           w.workers[t]->scratch, w.sums.data() + (size_t)w.tile_start[i] * kSplatSums);
+    kernels_.tile_backward(tile, w.blocks.data() + w.tile_start[i], w.rows_of_list.data() + w.tile_start[i],
+                           w.colors.data(), image, image_gradient, w.workers[t]->scratch, w.sums.data());
   });
   const double t1 = now();
-  const GradientArrays out = cleared_gradients();
-  const Sums sums = {w.sums.data(), w.places.data(), w.colors.data()};
-  parallel(threads_,
-           [&](int t) { kernels_.splats_backward(visible_of(t), sums, parameters_, camera_, active_, center_, out); });
+  const GradientArrays out = cleared_gradients(!step);
+  parallel(threads_, [&](int t) {
+    kernels_.splats_backward(visible_of(t), w.sums.data(), parameters_, camera_, active_, center_, out, step);
+  });
   seconds.backward = t1 - t0, seconds.parameters = now() - t1;
   return out;
 }
 
 LossValue photometric_loss(const Kernels &kernels, const float *image, const float *target, int width, int height,
                            float ssim_weight, int threads, float *gradient) {
-  const size_t stride = ((size_t)width + 15) / 16 * 16;
-  static thread_local Kept<float> planes;  // kept: fresh pages cost more than the work
-  grow(planes, 21 * stride * (size_t)height);
-  std::vector<std::vector<float>> scratch(threads, std::vector<float>(4 * (stride + 32)));
-  std::vector<double> l1_rows(3 * (size_t)height), ssim_rows(3 * (size_t)height);
-  float *const all_planes = planes.data();
-  const auto each_band = [&](auto work) {
-    over_parts(height, threads, [&](int t, int begin, int end) {
-      work(LossPlanes{all_planes, scratch[t].data(), width, height, stride}, begin, end);
-    });
-  };
-  each_band([&](const LossPlanes &p, int begin, int end) { kernels.ssim_rows(image, target, p, begin, end); });
-  each_band([&](const LossPlanes &p, int begin, int end) { kernels.ssim_partials(p, begin, end, ssim_rows.data()); });
-  each_band([&](const LossPlanes &p, int begin, int end) {
-    kernels.loss_gradient(image, target, p, ssim_weight, begin, end, gradient, l1_rows.data());
+  std::vector<double> l1_rows(height), ssim_rows(height);
+  over_parts(height, threads, [&](int, int begin, int end) {
+    static thread_local Kept<float> scratch;
+    grow(scratch, loss_scratch(width));
+    kernels.loss_rows({image, target, width, height, ssim_weight}, scratch.data(), begin, end, gradient, l1_rows.data(),
+                      ssim_rows.data());
   });
   LossValue value = {0, 0};
   for (double x : l1_rows) value.l1 += x;

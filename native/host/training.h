@@ -15,11 +15,12 @@ class TrainingPass {
                int threads);
   void forward(float *image, float *alpha);
   // The arrays live in the workspace: as long as this pass does.
-  GradientArrays backward(const float *image, const float *image_gradient);
+  // With a step, that of the harmonics is taken at once, and their gradients are not kept.
+  GradientArrays backward(const float *image, const float *image_gradient, const HarmonicsStep *step);
   TrainingSeconds seconds;
 
  private:
-  GradientArrays cleared_gradients();
+  GradientArrays cleared_gradients(bool harmonics);
   Visible visible_of(int thread) const;  // what that thread projected
 
   const Kernels &kernels_;

@@ -17,6 +17,12 @@ Idle &idle() {
 
 }  // namespace
 
+void release_idle() {
+  std::vector<std::unique_ptr<Workspace>> spaces;
+  const std::lock_guard<std::mutex> lock(idle().mutex);
+  spaces.swap(idle().spaces);
+}
+
 Lease::Lease(int threads) {
   {
     const std::lock_guard<std::mutex> lock(idle().mutex);

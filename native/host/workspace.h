@@ -8,7 +8,8 @@
 
 namespace drsplat {
 
-struct SegmentWeight {
+struct Triple {
+  uint32_t gaussian;
   int32_t segment;
   float weight;
 };
@@ -24,8 +25,7 @@ struct Worker {
   TileScratch scratch;
   Triples triples;
   MergedTriples merged;
-  Kept<uint32_t> spans, tile_counts, depth_counts, row_start;
-  Kept<SegmentWeight> by_row;
+  Kept<uint32_t> row_counts, tile_counts, digit_counts;
 };
 
 // What one view needs between projecting its splats and visiting its tiles, kept for the next one: fresh pages cost as
@@ -34,16 +34,20 @@ struct Workspace {
   Kept<Splat> projected, splats;
   Kept<Extent> projected_extents, extents;
   Kept<uint64_t> keys, other_keys;
-  Kept<uint32_t> list, tile_start;
+  Kept<TileSpan> spans;  // row after row, front to back
+  Kept<uint32_t> list, spans_start, tile_start, tile_next;
+  Kept<Triple> triples, other_triples;
   // For the way back, if asked: how many each thread projected, in index order; the depth rank of each,
-  // and its entries of `list` in tile order.
-  Kept<uint32_t> projected_counts, ranks, places, places_start;
+  // and where its rows of sums begin, one for each tile; of each entry of `list`, its row.
+  Kept<uint32_t> projected_counts, ranks, rows_start, rows_of_list;
   Kept<float> scene, colors, sums, gradients;  // training only
   Kept<uint16_t> blocks;                       // also: of each entry of `list`, the blocks in which it reaches a ray
   std::vector<std::unique_ptr<Worker>> workers;
   int columns = 0, rows = 0;
   uint32_t visible = 0;
 };
+
+void release_idle();  // gives back the memory of workspaces that nobody uses
 
 class Lease {  // a workspace nobody else is using
  public:

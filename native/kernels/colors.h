@@ -67,6 +67,12 @@ INLINE void fetch_colors(const Visible &v, const Parameters &p, int used, uint32
   for (int k = 0; k < 3 * used; k += 16) __builtin_prefetch(row + k);
 }
 
+INLINE Floats harmonic_sum(const Floats *Y, const float (*sh)[16], int count, int channel) {
+  Floats color = splat(0.5f);
+  for (int k = 0; k < count; k++) color = color + Y[k] * load(sh[3 * k + channel]);
+  return color;
+}
+
 // colors: 3 for each splat, by rank.
 static void splat_colors(const Visible &v, const Parameters &p, int32_t active, const float *center, float *colors) {
   for (uint32_t first = 0; first < v.count; first += 16) {
@@ -79,11 +85,7 @@ static void splat_colors(const Visible &v, const Parameters &p, int32_t active, 
     Floats Y[16];
     const int n = sh_basis(to.x, to.y, to.z, active, Y);
     group.gather(p.sh, 3 * p.coefficients, 3 * n, sh);
-    for (int c = 0; c < 3; c++) {
-      Floats color = splat(0.5f);
-      for (int k = 0; k < n; k++) color = color + Y[k] * load(sh[3 * k + c]);
-      store(out[c], maximum(color, splat(0.f)));
-    }
+    for (int c = 0; c < 3; c++) store(out[c], maximum(harmonic_sum(Y, sh, n, c), splat(0.f)));
     for (int l = 0; l < group.count; l++)
       for (int c = 0; c < 3; c++) colors[3 * (size_t)v.ranks[first + l] + c] = out[c][l];
   }

@@ -18,19 +18,25 @@ constexpr size_t kTableLimit = 1 << 16;  // 64-byte cells: 4 MiB
 struct Walk {
   const Tile &tile;
   const float *colors;  // 3 per splat, fetched with the splats; or null
+  int width, height;    // of a block; as many blocks lie side by side as one is high
   uint16_t *masks;      // per list entry: the blocks it may touch
   uint32_t known = 0;   // masks are filled up to here
   float left, top;      // centre of the tile's first pixel
   Floats block_x, block_y, lane_x, lane_y;
 
-  Walk(const Tile &t, TileScratch &scratch, const float *colors = nullptr)
-      : tile(t), colors(colors), left((float)t.x * 16.f + 0.5f), top((float)t.y * 16.f + 0.5f) {
+  Walk(const Tile &t, TileScratch &scratch, const float *colors = nullptr, int block_width = kBlockWidth)
+      : tile(t),
+        colors(colors),
+        width(block_width),
+        height(16 / block_width),
+        left((float)t.x * 16.f + 0.5f),
+        top((float)t.y * 16.f + 0.5f) {
     reserve(scratch.block_masks, (t.count + 16) * sizeof(uint16_t));
     masks = (uint16_t *)scratch.block_masks.data;
     float bx[16], by[16], lx[16], ly[16];
     for (int i = 0; i < 16; i++) {
-      bx[i] = left + (float)(i % 2 * kBlockWidth), by[i] = top + (float)(i / 2 * kBlockHeight);
-      lx[i] = (float)(i % kBlockWidth), ly[i] = (float)(i / kBlockWidth);
+      bx[i] = left + (float)(i % height * width), by[i] = top + (float)(i / height * height);
+      lx[i] = (float)(i % width), ly[i] = (float)(i / width);
     }
     block_x = load(bx), block_y = load(by), lane_x = load(lx), lane_y = load(ly);
   }
@@ -42,7 +48,7 @@ struct Pixels {   // of a block
 };
 
 INLINE Pixels pixels_of(const Walk &w, int block) {
-  const int left = w.tile.x * 16 + block % 2 * kBlockWidth, top = w.tile.y * 16 + block / 2 * kBlockHeight;
+  const int left = w.tile.x * 16 + block % w.height * w.width, top = w.tile.y * 16 + block / w.height * w.height;
   return {left, top,
           (w.lane_x < splat((float)(w.tile.width - left))) & (w.lane_y < splat((float)(w.tile.height - top)))};
 }
@@ -50,16 +56,22 @@ INLINE Pixels pixels_of(const Walk &w, int block) {
 struct Points { Floats x, y; };
 
 INLINE Points centres_of(const Walk &w, int block) {  // of its pixels
-  return {w.lane_x + splat(w.left + (float)(block % 2 * kBlockWidth)),
-          w.lane_y + splat(w.top + (float)(block / 2 * kBlockHeight))};
+  return {w.lane_x + splat(w.left + (float)(block % w.height * w.width)),
+          w.lane_y + splat(w.top + (float)(block / w.height * w.height))};
 }
 
 INLINE Points offsets(const Points &pixels, const Splat &g) { return {pixels.x - splat(g.x), pixels.y - splat(g.y)}; }
 
-// 0 where it is less than 1/255.
-INLINE Floats alpha_at(const Splat &g, const Points &d) {
-  const Floats p = (splat(g.xx) * d.x + splat(g.xy) * d.y) * d.x + (splat(g.yy) * d.y * d.y + splat(g.log2_opacity));
-  return keep(p >= splat(kLog2MinAlpha), minimum(exp2_of(p), splat(kMaxAlpha)));
+// Of each splat at sixteen pixels, 0 where it is less than 1/255.
+template <int kCount>
+INLINE void alphas_at(const Splat *const *splats, const Points *d, Floats *alphas) {
+  Floats p[kCount];
+  for (int i = 0; i < kCount; i++) p[i] = splat(splats[i]->xx) * d[i].x + splat(splats[i]->xy) * d[i].y;
+  for (int i = 0; i < kCount; i++)
+    p[i] = p[i] * d[i].x + (splat(splats[i]->yy) * d[i].y * d[i].y + splat(splats[i]->log2_opacity));
+  for (int i = 0; i < kCount; i++) alphas[i] = p[i];
+  exp2_of_each<kCount>(alphas);
+  for (int i = 0; i < kCount; i++) alphas[i] = keep(p[i] >= splat(kLog2MinAlpha), minimum(alphas[i], splat(kMaxAlpha)));
 }
 
 // Exact test of one splat against all blocks: the largest log2(alpha) over each block's rectangle of
@@ -67,7 +79,7 @@ INLINE Floats alpha_at(const Splat &g, const Points &d) {
 // centre, along x or along y.
 INLINE uint32_t blocks_touched(const Walk &w, const Splat &g) {
   const Floats xa = w.block_x - splat(g.x), ya = w.block_y - splat(g.y), zero = splat(0.f);
-  const Floats xb = xa + splat(kBlockWidth - 1.f), yb = ya + splat(kBlockHeight - 1.f);
+  const Floats xb = xa + splat((float)w.width - 1.f), yb = ya + splat((float)w.height - 1.f);
   const Floats near_x = minimum(maximum(zero, xa), xb), near_y = minimum(maximum(zero, ya), yb);
   const Floats best_y = minimum(maximum(near_x * splat(-0.5f * g.xy / g.yy), ya), yb);
   const Floats best_x = minimum(maximum(near_y * splat(-0.5f * g.xy / g.xx), xa), xb);
@@ -112,16 +124,24 @@ static inline uint32_t candidates(const Walk &w, int block, uint32_t begin, uint
   return n;
 }
 
-constexpr uint32_t kBetweenChecks = 16;  // visits
+constexpr uint32_t kBetweenChecks = 8;               // visits
+constexpr uint32_t kTogether = kParts == 1 ? 4 : 1;  // splats whose alphas are found at once, as registers allow
 
 struct Never {
   __attribute__((always_inline)) bool operator()(Floats) const { return false; }
 };
 
-// Calls begin_chunk(n) before up to n visits, visit(list index, weights, reached) for every splat front to back, and
-// now and then ends(transmittance), which ends the walk where it is true. reached: lanes whose rays it touches or ends.
+struct ChunkOnStack {  // of list indices
+  uint32_t indices[kChunk + 16];
+  uint32_t *operator()(uint32_t) { return indices; }
+};
+
+// Calls begin_chunk(n), which gives room for n list indices and sixteen more, before up to n visits,
+// visit(list index, weights, reached) for every splat front to back, and now and then ends(transmittance), which ends
+// the walk where it is true. reached: lanes whose rays it touches or ends.
 // The transmittance is not zeroed at the stop: it only falls, so "would bring it under 1e-4" stays true
-// by itself, and the loop-carried chain is one multiplication. Returns the final transmittance.
+// by itself, and the loop-carried chain is one multiplication. Returns the final transmittance. A few visits more than
+// any ray needs, in which all weights are 0, cost less than a look for the end after each.
 template <class Begin, class Visit, class Ends = Never>
 INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Begin begin_chunk, Visit visit,
                          Ends ends = {}) {
@@ -130,29 +150,34 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
   Floats transmittance = keep(wanted, splat(1.f)), last = splat(1.f);
   Ints hits = splat_int(0);
   Mask before = wanted;
-  uint32_t chunk[kChunk + 16];
   for (uint32_t at = 0; at < tile.count; at += kChunk) {
     const uint32_t end = at + kChunk < tile.count ? at + kChunk : tile.count;
     look_ahead(w, end);
+    uint32_t *chunk = begin_chunk(end - at);
     const uint32_t n = candidates(w, block, at, end, chunk);
-    begin_chunk(n);
-    for (uint32_t j = 0; j < n; j++) {
-      if (j % kBetweenChecks == 0 && ends(transmittance)) return last;
-      const Splat &g = tile.splats[tile.list[chunk[j]]];
-      const Floats alpha = alpha_at(g, offsets(pixels, g));
-      const Floats weight = transmittance * alpha, after = transmittance - weight;
-      Mask live = after >= splat(kMinTransmittance);
-      Floats kept = keep(live, weight);
-      if (first_hits) {
-        hits = increment(hits, splat(0.f) < kept);
-        live = live & !(splat_int(first_hits) < hits);
-        kept = keep(live, kept);
+    for (uint32_t i = n; i % kTogether; i++) chunk[i] = chunk[n - 1];
+    for (uint32_t j = 0; j < n; j += kTogether) {
+      if (j % kBetweenChecks == 0 && (!any(before) || ends(transmittance))) return last;
+      const Splat *splats[kTogether];
+      Points d[kTogether];
+      Floats alphas[kTogether];
+      for (uint32_t i = 0; i < kTogether; i++) splats[i] = &tile.splats[tile.list[chunk[j + i]]];
+      for (uint32_t i = 0; i < kTogether; i++) d[i] = offsets(pixels, *splats[i]);
+      alphas_at<kTogether>(splats, d, alphas);
+      for (uint32_t i = 0; i < kTogether && j + i < n; i++) {
+        const Floats weight = transmittance * alphas[i], after = transmittance - weight;
+        Mask live = after >= splat(kMinTransmittance);
+        Floats kept = keep(live, weight);
+        if (first_hits) {
+          hits = increment(hits, splat(0.f) < kept);
+          live = live & !(splat_int(first_hits) < hits);
+          kept = keep(live, kept);
+        }
+        visit(chunk[j + i], kept, before & (splat(0.f) < weight));
+        before = live;
+        last = select(live, after, last);
+        transmittance = first_hits ? keep(live, after) : after;
       }
-      visit(chunk[j], kept, before & (splat(0.f) < weight));
-      before = live;
-      last = select(live, after, last);
-      transmittance = first_hits ? keep(live, after) : after;
-      if (!any(live)) return last;
     }
   }
   return last;
@@ -164,7 +189,6 @@ struct Record {
   float *weights;   // 16 per hit, front to back
   uint32_t *index;  // list index of each hit
   size_t size;
-  Ints lane_sizes;  // hits of each lane
 };
 
 INLINE Ints count_from(const Record &r, Floats threshold) {
@@ -189,21 +213,16 @@ INLINE bool is_complete(const Record &r, int32_t k, Ints guess, Floats transmitt
 
 static Record record_block(Walk &w, int block, Mask wanted, const Selection &selection, Ints guess,
                            TileScratch &scratch) {
-  Record r = {(float *)scratch.hits.data, (uint32_t *)scratch.hit_list.data, 0, splat_int(0)};
+  Record r = {(float *)scratch.hits.data, (uint32_t *)scratch.hit_list.data, 0};
   walk_block(
       w, block, wanted, selection.first_hits,
       [&](uint32_t n) {
-        reserve(scratch.hits, (r.size + n + 1) * sizeof(Floats));
-        reserve(scratch.hit_list, (r.size + n + 1) * sizeof(uint32_t));
+        reserve(scratch.hits, (r.size + n) * sizeof(Floats));
+        reserve(scratch.hit_list, (r.size + n + 16) * sizeof(uint32_t));
         r.weights = (float *)scratch.hits.data, r.index = (uint32_t *)scratch.hit_list.data;
+        return r.index + r.size;
       },
-      [&](uint32_t i, Floats weight, Mask) __attribute__((always_inline)) {  // branch-free append
-        const Mask positive = splat(0.f) < weight;
-        store(r.weights + 16 * r.size, weight);
-        r.index[r.size] = i;
-        r.size += any(positive);
-        r.lane_sizes = increment(r.lane_sizes, positive);
-      },
+      [&](uint32_t, Floats weight, Mask) __attribute__((always_inline)) { store(r.weights + 16 * r.size++, weight); },
       [&](Floats transmittance) __attribute__((always_inline)) {
         return selection.topk && r.size >= (size_t)selection.topk &&
                is_complete(r, selection.topk, guess, transmittance);
@@ -222,24 +241,29 @@ static void drop_late_ties(const Record &r, Floats threshold, Mask tied, int32_t
   }
 }
 
-constexpr int32_t kFew = 3;
+constexpr int32_t kFew = 4;
 constexpr int32_t kTinyWeightBits = 0x34000000;  // 1.2e-7, below any weight: at least 1/255 * 1e-4
 constexpr int32_t kOneBits = 0x3f800000;
 constexpr int32_t kFirstGuessBits = 0x3b800000;  // 2^-8
 
-// Per lane, the k-th largest weight where `low` is reached by k and one to three more: one of the four smallest that
+// Per lane, the k-th largest weight where `low` is reached by k and one to kFew more: one of the few smallest that
 // reach it. Elsewhere `threshold`.
 static Ints settle_few(const Record &r, int32_t k, Ints low, Ints excess, Mask few, Ints threshold) {
-  const Floats least = float_of_bits(low), none = splat(1.f);
-  Floats a = none, b = none, c = none, d = none;  // ascending
+  Ints above[kFew + 1];  // the smallest beyond `low`, ascending; what is below it wraps around
+  for (int n = 0; n <= kFew; n++) above[n] = splat_int(-1);
   for (size_t i = 0; i < r.size; i++) {
-    const Floats w = load(r.weights + 16 * i), in = select(w >= least, w, none);
-    const Floats past_a = maximum(a, in), past_b = maximum(b, past_a), past_c = maximum(c, past_b);
-    a = minimum(a, in), b = minimum(b, past_a), c = minimum(c, past_b), d = minimum(d, past_c);
+    Ints in = bits_of(load(r.weights + 16 * i)) - low;
+    for (int n = 0; n <= kFew; n++) {
+      const Ints larger = maximum_unsigned(above[n], in);
+      above[n] = minimum_unsigned(above[n], in), in = larger;
+    }
   }
-  const Mask one = excess == splat_int(1), two = excess == splat_int(2);
-  const Ints kth = bits_of(select(one, b, select(two, c, d))), next = bits_of(select(one, a, select(two, b, c)));
-  threshold = select(few, kth, threshold);
+  Ints kth = above[1], next = above[0];
+  for (int n = 2; n <= kFew; n++) {
+    const Mask mine = excess == splat_int(n);
+    kth = select(mine, above[n], kth), next = select(mine, above[n - 1], next);
+  }
+  threshold = select(few, low + kth, threshold);
   const Mask tied = few & (kth == next);
   if (any(tied)) drop_late_ties(r, float_of_bits(threshold), tied, k);
   return threshold;
@@ -252,7 +276,7 @@ static Ints settle_few(const Record &r, int32_t k, Ints low, Ints excess, Mask f
 static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
   const Ints wanted = splat_int(k), one = splat_int(1);
   Ints low = splat_int(kTinyWeightBits), high = splat_int(kOneBits), threshold = low;
-  Ints count_low = r.lane_sizes, count_high = splat_int(0);
+  Ints count_low = count_from(r, float_of_bits(low)), count_high = splat_int(0);
   Mask busy = wanted < count_low;
   for (int round = 0; any(busy & (splat_int(kFew) < count_low - wanted)); round++) {
     const Ints width = high - low;
@@ -275,7 +299,17 @@ static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
   return any(busy) ? settle_few(r, k, low, count_low - wanted, busy, threshold) : threshold;
 }
 
-// Thresholds change little from block to block: `guess` carries the last one over.
+// Thresholds change little from block to block: that of the block above is the first guess, in the top row that of the
+// block to the left.
+struct Guesses {
+  Ints bits[2] = {splat_int(kFirstGuessBits), splat_int(kFirstGuessBits)};
+
+  Ints &of(int block) {
+    if (block == 1) bits[1] = bits[0];
+    return bits[block % 2];
+  }
+};
+
 static Floats selection_threshold(const Record &r, const Selection &s, Ints &guess) {
   if (!s.topk || r.size <= (size_t)s.topk) return float_of_bits(splat_int(kTinyWeightBits));
   const Ints threshold = topk_threshold(r, s.topk, guess);
@@ -292,25 +326,39 @@ struct TileSegments {
   uint32_t slots_of_block[kBlocks][8];  // bit set
 };
 
+// Of a block's pixels, -1 beyond the image.
+INLINE Ints segments_of(const Tile &tile, const int32_t *segment_ids, int block) {
+  const int left = tile.x * 16 + block % 2 * kBlockWidth, top = tile.y * 16 + block / 2 * kBlockHeight;
+  int32_t ids[16];
+  for (int row = 0; row < kBlockHeight; row++) {
+    const int32_t *from = segment_ids + (size_t)(top + row) * tile.width + left;
+    if (top + row < tile.height && left + kBlockWidth <= tile.width)
+      memcpy(ids + row * kBlockWidth, from, kBlockWidth * sizeof *ids);
+    else
+      for (int x = 0; x < kBlockWidth; x++)
+        ids[row * kBlockWidth + x] = top + row < tile.height && left + x < tile.width ? from[x] : -1;
+  }
+  return load_int(ids);
+}
+
 static void find_segments(const Tile &tile, const int32_t *segment_ids, TileSegments &s) {
   memset(s.slots_of_block, 0, sizeof s.slots_of_block);
   for (int y = tile.y * 16; y < tile.y * 16 + 16 && y < tile.height; y++)  // of the tile after the next
     if (tile.x * 16 + 32 < tile.width) __builtin_prefetch(segment_ids + (size_t)y * tile.width + tile.x * 16 + 32);
   for (int b = 0; b < kBlocks; b++) {
-    int32_t slots[16];
-    for (int l = 0; l < 16; l++) {
-      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth,
-                y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
-      const int32_t id = x < tile.width && y < tile.height ? segment_ids[(size_t)y * tile.width + x] : -1;
-      int slot = -1;
-      if (id >= 0) {
-        for (slot = 0; slot < s.count && s.ids[slot] != id; slot++) {}
-        if (slot == s.count) s.ids[s.count++] = id;
-        s.slots_of_block[b][slot / 32] |= 1u << slot % 32;
-      }
-      slots[l] = slot;
+    const Ints ids = segments_of(tile, segment_ids, b);
+    Ints slots = splat_int(-1);
+    for (uint32_t left = lanes_of(splat_int(-1) < ids); left;) {
+      const int32_t id = ((const int32_t *)&ids)[__builtin_ctz(left)];
+      int slot = 0;
+      while (slot < s.count && s.ids[slot] != id) slot++;
+      if (slot == s.count) s.ids[s.count++] = id;
+      s.slots_of_block[b][slot / 32] |= 1u << slot % 32;
+      const Mask same = ids == splat_int(id);
+      slots = select(same, splat_int(slot), slots);
+      left &= ~lanes_of(same);
     }
-    s.slot_of_lane[b] = load_int(slots);
+    s.slot_of_lane[b] = slots;
   }
 }
 
@@ -341,7 +389,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
   find_segments(tile, segment_ids, segments);
   if (!segments.count || !tile.count) return;
   Walk walk(tile, scratch);
-  Ints guess = splat_int(kFirstGuessBits);
+  Guesses guesses;
   const size_t slots = segments.count;
   const bool tabled = tile.count * slots <= kTableLimit;
   if (tabled) reserve(scratch.table, tile.count * slots * sizeof(Floats));
@@ -350,6 +398,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
   for (int b = 0; b < kBlocks; b++) {
     const Mask wanted = splat_int(-1) < segments.slot_of_lane[b];
     if (!any(wanted)) continue;
+    Ints &guess = guesses.of(b);
     const Record r = record_block(walk, b, wanted, selection, guess, scratch);
     const Floats threshold = selection_threshold(r, selection, guess);
     if (tabled && cleared < walk.known) {
@@ -381,10 +430,11 @@ static void tile_contributions(const Tile &tile, const Selection &selection, Til
   if (!tile.count) return;
   Walk walk(tile, scratch);
   const size_t k = selection.topk;
-  Ints guess = splat_int(kFirstGuessBits);
+  Guesses guesses;
   for (int b = 0; b < kBlocks; b++) {
     const auto [left, top, inside] = pixels_of(walk, b);
     if (!any(inside)) continue;
+    Ints &guess = guesses.of(b);
     const Record r = record_block(walk, b, inside, selection, guess, scratch);
     const Floats threshold = selection_threshold(r, selection, guess);
     size_t filled[16] = {};
@@ -424,15 +474,14 @@ static void tile_render(const Tile &tile, const float *values, int32_t channels,
       const int n = channels - first < kChannelsAtOnce ? channels - first : kChannelsAtOnce;
       Floats total[kChannelsAtOnce], weight_sum = splat(0.f), depth_sum = splat(0.f);
       for (int c = 0; c < n; c++) total[c] = splat(0.f);
-      const Floats rest = walk_block(
-          walk, b, inside, 0, [](uint32_t) {},
-          [&](uint32_t i, Floats w, Mask) __attribute__((always_inline)) {
-            const Splat &g = tile.splats[tile.list[i]];
-            const float *value = values + (size_t)g.id * channels + first;
-            for (int c = 0; c < n; c++) total[c] = total[c] + w * splat(value[c]);
-            weight_sum = weight_sum + w;
-            depth_sum = depth_sum + w * splat(g.depth);
-          });
+      const Floats rest = walk_block(walk, b, inside, 0, ChunkOnStack{},
+                                     [&](uint32_t i, Floats w, Mask) __attribute__((always_inline)) {
+                                       const Splat &g = tile.splats[tile.list[i]];
+                                       const float *value = values + (size_t)g.id * channels + first;
+                                       for (int c = 0; c < n; c++) total[c] = total[c] + w * splat(value[c]);
+                                       weight_sum = weight_sum + w;
+                                       depth_sum = depth_sum + w * splat(g.depth);
+                                     });
       for (int c = 0; c < n; c++)
         write_lanes(image + first + c, tile, left, top, inside, channels,
                     total[c] + rest * splat(background[first + c]));

@@ -1,6 +1,7 @@
 // Splats -> parameters: from the sums over all pixels to dL/d(parameters), sixteen splats at a time.
 #pragma once
 #include "kernels/activation.h"
+#include "kernels/adam.h"
 #include "kernels/colors.h"
 #include "kernels/group.h"
 #include "kernels/projection.h"
@@ -89,26 +90,45 @@ static inline LaneGradients splat_gradients(const SplatLanes &s, const Camera &c
   return out;
 }
 
-// Through the colours: dL/d(sh), and what they add to dL/d(mean) by the viewing directions. No gradient
-// where a colour was cut at zero.
-static inline void color_gradients(const Group &group, const Parameters &p, int32_t active, const float *center,
-                                   const Floats *color, const SplatLanes &s, LaneGradients &g, float *sh_out) {
+// Through the colours: dL/d(sh), in columns, and what they add to dL/d(mean) by the viewing directions. No gradient
+// where a colour was cut at zero. Returns how many coefficients are in use.
+static inline int color_gradients(const Group &group, const Parameters &p, int32_t active, const float *center,
+                                  const SplatLanes &s, LaneGradients &g, float (*sh)[16]) {
   const Directions to = directions_to(s.mean, center);
   Floats Y[16], shade[16], slope[3], along[3];
-  float sh[kMostColors][16];
   const int used = sh_basis(to.x, to.y, to.z, active, Y);
   group.gather(p.sh, 3 * p.coefficients, 3 * used, sh);
-  for (int c = 0; c < 3; c++) along[c] = keep(splat(0.f) < color[c], s.sums[c]);
+  for (int c = 0; c < 3; c++) along[c] = keep(splat(0.f) < harmonic_sum(Y, sh, used, c), s.sums[c]);
   for (int k = 0; k < used; k++) {
     shade[k] = along[0] * load(sh[3 * k]) + along[1] * load(sh[3 * k + 1]) + along[2] * load(sh[3 * k + 2]);
     for (int c = 0; c < 3; c++) store(sh[3 * k + c], Y[k] * along[c]);
   }
-  group.scatter(sh, 3 * p.coefficients, 3 * used, sh_out);
   add_basis_slopes(to, used, shade, slope);
   const Floats radial = slope[0] * to.x + slope[1] * to.y + slope[2] * to.z;
   g.mean[0] = g.mean[0] + (slope[0] - radial * to.x) * to.inverse_distance;
   g.mean[1] = g.mean[1] + (slope[1] - radial * to.y) * to.inverse_distance;
   g.mean[2] = g.mean[2] + (slope[2] - radial * to.z) * to.inverse_distance;
+  return used;
+}
+
+static inline void step_unseen(int width, int stride, const HarmonicsStep &step, const AdamLanes &adam, uint32_t begin,
+                               uint32_t end) {
+  for (size_t at = begin * (size_t)stride; at < end * (size_t)stride; at += (size_t)stride)
+    step_row(step.sh + at, nullptr, step.first + at, step.second + at, (size_t)width, adam);
+}
+
+// Steps the harmonics of a group's splats, and of the unseen Gaussians from `next` up to them.
+static inline void step_harmonics(const Group &group, const float (*columns)[16], int width, int stride,
+                                  const HarmonicsStep &step, const AdamLanes &adam, uint32_t &next) {
+  float rows[16][kMostColors], *at[16];
+  for (int l = 0; l < 16; l++) at[l] = rows[l];
+  scatter_rows(columns, width, at);
+  for (int l = 0; l < group.count; l++) {
+    step_unseen(width, stride, step, adam, next, (uint32_t)group.ids[l]);
+    const size_t first = group.ids[l] * (size_t)stride;
+    step_row(step.sh + first, rows[l], step.first + first, step.second + first, (size_t)width, adam);
+    next = (uint32_t)group.ids[l] + 1;
+  }
 }
 
 static inline SplatLanes load_splats(const Visible &v, uint32_t first, const Group &group, const Parameters &p,
@@ -138,30 +158,17 @@ static inline void store_gradients(const Group &group, const LaneGradients &g, c
   put(&g.logit, 1, out.logits), put(&g.screen, 1, out.screen), put(&g.radius, 1, out.radii);
 }
 
-INLINE void fetch_sums(const Visible &v, const Sums &sums, uint32_t i) {
-  if (i >= v.count) return;
-  for (uint32_t k = v.places_start[i]; k < v.places_start[i + 1]; k++) {
-    const float *row = sums.values + (size_t)sums.places[k] * kSplatSums;
-    __builtin_prefetch(row), __builtin_prefetch(row + kSplatSums - 1);  // which may lie in two lines
-  }
-  __builtin_prefetch(sums.colors + 3 * (size_t)v.ranks[i]);
-}
-
-// Of up to sixteen splats, what all their tiles say: kSplatSums columns, and three of colours.
-static inline void add_tiles(const Visible &v, const Sums &from, uint32_t first, int count, float (*sums)[16],
-                             float (*colors)[16]) {
+// Of up to sixteen splats, what all their tiles say, in columns.
+static inline void add_tiles(const Visible &v, const float *tile_sums, uint32_t first, int count, float (*sums)[16]) {
   for (int l = 0; l < 16; l++) {
     const uint32_t i = first + (uint32_t)(l < count ? l : 0);
-    const float *color = from.colors + 3 * (size_t)v.ranks[i];
     Four some = {}, more = {};
     float last = 0;
-    for (uint32_t k = v.places_start[i]; k < v.places_start[i + 1]; k++) {
-      const float *row = from.values + (size_t)from.places[k] * kSplatSums;
+    const float *row = tile_sums + (size_t)v.rows_start[i] * kSplatSums;
+    for (uint32_t k = v.rows_start[i]; k < v.rows_start[i + 1]; k++, row += kSplatSums)
       some += *(const Four *)row, more += *(const Four *)(row + 4), last += row[8];
-    }
     for (int c = 0; c < 4; c++) sums[c][l] = some[c], sums[4 + c][l] = more[c];
     sums[8][l] = last;
-    for (int c = 0; c < 3; c++) colors[c][l] = color[c];
   }
 }
 
@@ -183,22 +190,28 @@ static __attribute__((noinline)) void add_dimming(const Visible &v, uint32_t fir
   store(sums[8], load(sums[8]) + slope * (splat(1.f) + inverse * xx));
 }
 
-static void splats_backward(const Visible &v, const Sums &from, const Parameters &p, const Camera &cam, int32_t active,
-                            const float *center, const GradientArrays &out) {
+static void splats_backward(const Visible &v, const float *tile_sums, const Parameters &p, const Camera &cam,
+                            int32_t active, const float *center, const GradientArrays &out, const HarmonicsStep *step) {
   float unused[kMostColors];
+  const int stride = 3 * p.coefficients;
+  const AdamLanes adam(step ? step->adam : AdamStep{});
+  uint32_t next = v.begin;  // of the Gaussians whose harmonics are to be stepped
+  int width = 3 * active;
   for (uint32_t first = 0; first < v.count; first += 16) {
     const Group group(v, first, unused);
-    float sums[kSplatSums][16], colors[3][16];
-    for (uint32_t l = 0; l < 16; l++)
-      fetch_sums(v, from, first + l + kAhead), fetch_colors(v, p, active, first + l + kAhead);
-    add_tiles(v, from, first, group.count, sums, colors);
+    float sums[kSplatSums][16];
+    for (uint32_t l = 0; l < 16; l++) fetch_colors(v, p, active, first + l + kAhead);
+    add_tiles(v, tile_sums, first, group.count, sums);
     if (p.antialiased) add_dimming(v, first, group.count, sums);
-    const Floats color[3] = {load(colors[0]), load(colors[1]), load(colors[2])};
     const SplatLanes s = load_splats(v, first, group, p, sums);
     LaneGradients g = splat_gradients(s, cam);
-    color_gradients(group, p, active, center, color, s, g, out.sh);
+    float sh[kMostColors][16];
+    width = 3 * color_gradients(group, p, active, center, s, g, sh);
+    if (step) step_harmonics(group, sh, width, stride, *step, adam, next);
+    else group.scatter(sh, stride, width, out.sh);
     store_gradients(group, g, out);
   }
+  if (step) step_unseen(width, stride, *step, adam, next, v.end);
 }
 
 }  // namespace drsplat::DRSPLAT_ISA

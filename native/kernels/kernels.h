@@ -39,6 +39,13 @@ struct Extent {
   int16_t x0, x1, y0, y1;
 };
 
+// Tiles of one row that a splat may touch: columns [first, last), none where that is empty.
+struct TileSpan {
+  uint32_t splat;
+  uint16_t first, last;
+  uint32_t before;  // tiles of the splat in rows above
+};
+
 struct Triples {  // structure of arrays, grown together
   Buffer gaussian_ids, segment_ids, weights;
   size_t size = 0;
@@ -98,34 +105,37 @@ constexpr int kSplatSums = 9;  // see training_tiles.h
 struct Visible {  // a run of projected splats, in index order
   const Splat *splats;
   const Extent *extents;
-  const uint32_t *ranks;         // by depth
-  const uint32_t *places_start;  // of splat i: rows [places_start[i], places_start[i + 1]) of Sums::places
+  const uint32_t *ranks;       // by depth
+  const uint32_t *rows_start;  // of splat i: rows [rows_start[i], rows_start[i + 1]) of the sums over tiles
   uint32_t count;
-};
-
-struct Sums {  // kSplatSums for each splat in each tile
-  const float *values;
-  const uint32_t *places;  // rows of `values`
-  const float *colors;     // 3 each, by rank
+  uint32_t begin, end;  // of these Gaussians
 };
 
 struct GradientArrays {  // as Parameters; zero where a Gaussian is not seen
   float *means, *log_scales, *quats, *logits, *sh, *screen, *radii;
 };
 
-struct LossPlanes {  // seven planes of each channel, rows padded to whole vectors
-  float *planes, *scratch;
+struct LossImages {
+  const float *image, *target;
   int32_t width, height;
-  size_t stride;
+  float ssim_weight;
 };
+constexpr size_t kLossRow = 32;  // numbers of a padded row beyond its colours
+inline size_t loss_stride(int32_t width) { return ((size_t)width * 3 + 15) / 16 * 16; }
+inline size_t loss_scratch(int32_t width) { return 81 * loss_stride(width) + 4 * kLossRow; }
 
-struct AdamStep {
+struct AdamStep {  // rates and root_correction carry the bias corrections
   float rate, beta1, beta2, root_correction, epsilon;
   // The first kAdamHead numbers of every row of `row` have a rate of their own; row 0: there are none.
   float head_rate;
   uint32_t row;
 };
 constexpr int kAdamHead = 3;
+
+struct HarmonicsStep {  // taken on the way back, of the coefficients in use, so that their gradients need no memory
+  float *sh, *first, *second;  // rows of Parameters::sh and their moments
+  AdamStep adam;
+};
 
 struct Contest {       // of `count` more scores of each row with the `kept` best, highest first
   float *scores;       // kept x rows
@@ -143,8 +153,7 @@ struct PhotoKernels;    // photo_kernels.h
 struct Kernels {
   const char *name;
   uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
-  uint32_t *(*tile_spans)(const Splat *, const Extent *, uint32_t count, int32_t columns, uint32_t *spans,
-                          uint32_t *changes);
+  void (*tile_spans)(const Splat *, const Extent *, uint32_t begin, uint32_t end, TileSpan *, uint32_t *next);
   void (*tile_weights)(const Tile &, const Selection &, const int32_t *segment_ids, TileScratch &, Triples &);
   void (*tile_contributions)(const Tile &, const Selection &, TileScratch &, int32_t *ids, float *weights);
   void (*tile_render)(const Tile &, const float *values, int32_t channels, const float *background, TileScratch &,
@@ -163,14 +172,11 @@ struct Kernels {
   void (*splat_colors)(const Visible &, const Parameters &, int32_t active, const float *center, float *colors);
   void (*tile_forward)(const Tile &, const float *colors, const float *background, TileScratch &, float *image,
                        float *alpha, uint16_t *blocks);
-  void (*tile_backward)(const Tile &, const uint16_t *blocks, const float *colors, const float *image,
-                        const float *gradient, TileScratch &, float *sums);
-  void (*splats_backward)(const Visible &, const Sums &, const Parameters &, const Camera &, int32_t active,
-                          const float *center, const GradientArrays &);
-  void (*ssim_rows)(const float *image, const float *target, const LossPlanes &, int row_begin, int row_end);
-  void (*ssim_partials)(const LossPlanes &, int row_begin, int row_end, double *row_sums);
-  void (*loss_gradient)(const float *image, const float *target, const LossPlanes &, float ssim_weight, int row_begin,
-                        int row_end, float *gradient, double *row_sums);
+  void (*tile_backward)(const Tile &, const uint16_t *blocks, const uint32_t *rows, const float *colors,
+                        const float *image, const float *gradient, TileScratch &, float *sums);
+  void (*splats_backward)(const Visible &, const float *tile_sums, const Parameters &, const Camera &, int32_t active,
+                          const float *center, const GradientArrays &, const HarmonicsStep *);
+  void (*loss_rows)(const LossImages &, float *scratch, int begin, int end, float *gradient, double *l1, double *ssim);
   void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end,
                const AdamStep &);
 

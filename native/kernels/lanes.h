@@ -47,6 +47,26 @@ INLINE Ints load_int(const int32_t *p) { LANES(Ints, ((const LooseInts *)p)[i]);
 INLINE void store(float *p, Floats a) { EACH_PART(((LooseFloats *)p)[i] = a.part[i]); }
 INLINE void store_int(int32_t *p, Ints a) { EACH_PART(((LooseInts *)p)[i] = a.part[i]); }
 
+// Of up to sixteen numbers; lanes beyond them are 0, and stay out of memory.
+INLINE Floats load_some(const float *p, uint32_t n) {
+  if (n >= 16) return load(p);
+#if DRSPLAT_AVX512
+  return {{(FloatPart)_mm512_maskz_loadu_ps((__mmask16)((1u << n) - 1), p)}};
+#else
+  float padded[16] = {};
+  memcpy(padded, p, n * sizeof(float));
+  return load(padded);
+#endif
+}
+INLINE void store_some(float *p, Floats a, uint32_t n) {
+  if (n >= 16) return store(p, a);
+#if DRSPLAT_AVX512
+  _mm512_mask_storeu_ps(p, (__mmask16)((1u << n) - 1), (__m512)a.part[0]);
+#else
+  memcpy(p, &a, n * sizeof(float));
+#endif
+}
+
 #define LANE_OPERATOR(Type, op) \
   INLINE Type operator op(Type a, Type b) { LANES(Type, a.part[i] op b.part[i]); }
 LANE_OPERATOR(Floats, +)
@@ -103,6 +123,12 @@ INLINE Ints increment(Ints a, Mask m) {
 }
 INLINE Floats minimum(Floats a, Floats b) { return {{(FloatPart)_mm512_min_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
 INLINE Floats maximum(Floats a, Floats b) { return {{(FloatPart)_mm512_max_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
+INLINE Ints minimum_unsigned(Ints a, Ints b) {
+  return {{(IntPart)_mm512_min_epu32((__m512i)a.part[0], (__m512i)b.part[0])}};
+}
+INLINE Ints maximum_unsigned(Ints a, Ints b) {
+  return {{(IntPart)_mm512_max_epu32((__m512i)a.part[0], (__m512i)b.part[0])}};
+}
 INLINE Floats square_root(Floats a) { return {{(FloatPart)_mm512_sqrt_ps((__m512)a.part[0])}}; }
 // 1 / a to 1e-7 for normal a: the processor's estimate and one step of Newton's, in a third of a division's time.
 INLINE Floats reciprocal(Floats a) {
@@ -127,6 +153,12 @@ INLINE Floats keep(Mask m, Floats a) { LANES(Floats, (FloatPart)((IntPart)a.part
 INLINE Ints increment(Ints a, Mask m) { LANES(Ints, a.part[i] - m.part[i]); }
 INLINE Floats minimum(Floats a, Floats b) { return select(a < b, a, b); }
 INLINE Floats maximum(Floats a, Floats b) { return select(b < a, a, b); }
+INLINE Ints minimum_unsigned(Ints a, Ints b) {
+  LANES(Ints, (UintPart)a.part[i] < (UintPart)b.part[i] ? a.part[i] : b.part[i]);
+}
+INLINE Ints maximum_unsigned(Ints a, Ints b) {
+  LANES(Ints, (UintPart)b.part[i] < (UintPart)a.part[i] ? a.part[i] : b.part[i]);
+}
 #if defined(__AVX__)
 INLINE uint32_t lanes_of(Mask m) {
   return (uint32_t)_mm256_movemask_ps((__m256)m.part[0]) | (uint32_t)_mm256_movemask_ps((__m256)m.part[1]) << 8;
@@ -226,6 +258,25 @@ INLINE void store_sums(float *out, const Floats &a, const Floats &b, const Float
   *(Four *)out = LOW_HALVES(ab, cd) + HIGH_HALVES(ab, cd);
 }
 
+// The sums of eight at once.
+INLINE void store_eight_sums(float *out, const Floats *a) {
+#if DRSPLAT_AVX512
+  const auto halved = [](__m512 p, __m512 q) {
+    return _mm512_add_ps(_mm512_shuffle_f32x4(p, q, 0x88), _mm512_shuffle_f32x4(p, q, 0xdd));
+  };
+  __m512 four[2];
+  for (int i = 0; i < 2; i++, a += 4)
+    four[i] =
+        halved(halved((__m512)a[0].part[0], (__m512)a[1].part[0]), halved((__m512)a[2].part[0], (__m512)a[3].part[0]));
+  const __m512 pairs = _mm512_add_ps(_mm512_unpacklo_ps(four[0], four[1]), _mm512_unpackhi_ps(four[0], four[1]));
+  const __m512 sums = _mm512_add_ps(pairs, _mm512_permute_ps(pairs, 0x4e));
+  const __m512i order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 0, 0, 0, 0, 0, 0, 0, 0);
+  _mm256_storeu_ps(out, _mm512_castps512_ps256(_mm512_permutexvar_ps(order, sums)));
+#else
+  store_sums(out, a[0], a[1], a[2], a[3]), store_sums(out + 4, a[4], a[5], a[6], a[7]);
+#endif
+}
+
 INLINE Floats floor_of(Floats a) {  // |a| < 2^31
   Floats t = to_float(truncate(a));
   return select(a < t, t - splat(1.f), t);
@@ -233,16 +284,34 @@ INLINE Floats floor_of(Floats a) {  // |a| < 2^31
 
 // 2^p for p in [-126, 127], relative error 2e-7: minimax polynomial of 2^f on |f| <= 1/2 after rounding
 // p to the nearest integer, which the addition of 1.5 * 2^23 leaves in the low mantissa bits. Forbids
-// -ffast-math.
+// -ffast-math. Of several numbers step by step, since each step of one waits for the one before.
+template <int kCount>
+INLINE void exp2_of_each(Floats *p) {
+  constexpr float kPolynomial[] = {9.67554189e-3f, 5.55071309e-2f, 2.40221202e-1f, 6.93146944e-1f, 1.f};
+  Floats whole[kCount], f[kCount], r[kCount];
+#if DRSPLAT_AVX512  // the same bits in fewer instructions
+  for (int i = 0; i < kCount; i++)
+    whole[i] = {{(FloatPart)_mm512_roundscale_ps((__m512)p[i].part[0], _MM_FROUND_TO_NEAREST_INT)}};
+#else
+  Floats t[kCount];
+  for (int i = 0; i < kCount; i++) t[i] = p[i] + splat(12582912.f);
+  for (int i = 0; i < kCount; i++) whole[i] = t[i] - splat(12582912.f);
+#endif
+  for (int i = 0; i < kCount; i++) f[i] = p[i] - whole[i];
+  for (int i = 0; i < kCount; i++) r[i] = splat(1.32764713e-3f);
+  for (float coefficient : kPolynomial)
+    for (int i = 0; i < kCount; i++) r[i] = r[i] * f[i] + splat(coefficient);
+#if DRSPLAT_AVX512
+  for (int i = 0; i < kCount; i++)
+    p[i] = {{(FloatPart)_mm512_scalef_ps((__m512)r[i].part[0], (__m512)whole[i].part[0])}};
+#else
+  for (int i = 0; i < kCount; i++) p[i] = float_of_bits(bits_of(r[i]) + shift_left(bits_of(t[i]), 23));
+#endif
+}
+
 INLINE Floats exp2_of(Floats p) {
-  const Floats magic = splat(12582912.f);
-  Floats t = p + magic, f = p - (t - magic);
-  Floats r = splat(1.32764713e-3f) * f + splat(9.67554189e-3f);
-  r = r * f + splat(5.55071309e-2f);
-  r = r * f + splat(2.40221202e-1f);
-  r = r * f + splat(6.93146944e-1f);
-  r = r * f + splat(1.f);
-  return float_of_bits(bits_of(r) + shift_left(bits_of(t), 23));
+  exp2_of_each<1>(&p);
+  return p;
 }
 
 // log2(a) for normal a > 0, absolute error 1e-7 times the exponent's size: a = m * 2^e with m in

@@ -8,12 +8,6 @@ constexpr float kMinAlpha = 1.f / 255, kBlur = 0.3f, kLog2E = 1.44269504f;
 constexpr float kLog2MinAlpha = -7.99435344f;
 constexpr float kCullSlack = 1e-4f;  // keeps every cull on the safe side of float rounding
 
-INLINE Floats load_some(const float *p, uint32_t n) {
-  if (n >= 16) return load(p);
-  float padded[16] = {};
-  memcpy(padded, p, n * sizeof(float));
-  return load(padded);
-}
 INLINE Floats clamp(Floats a, float low, float high) { return minimum(maximum(a, splat(low)), splat(high)); }
 
 // |x / z| beyond which the Jacobian is that at the bound: 1.3 times the field of view, symmetric about the axis.
@@ -147,54 +141,46 @@ static uint32_t project(const Scene &scene, const Camera &camera, uint32_t begin
   return (scene.antialiased ? project_as<true> : project_as<false>)(scene, camera, begin, end, splats, extents);
 }
 
-struct TileSpan { int first, last; };
-
-// Whole tiles at or below x; far outside any image where x is, or is no number.
-static inline int tile_at(float x) {
-  return x > -1e6f && x < 1e6f ? (int)__builtin_floorf(x) : x < 0 ? -1000000 : 1000000;
+// Tile columns that the ellipse d^T cov^-1 d <= reach touches within sixteen tile rows from `row` on: its extreme x in
+// one is at the dy of its overall extreme where the row holds that, else at the row's nearer edge. Writes first and one
+// after the last, within [x0, x1).
+INLINE void spans_in_rows(const Splat &g, const Extent &e, int row, int32_t *first, int32_t *last) {
+  static const float kRows[16] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  const Floats above = (splat((float)row) + load(kRows)) * splat(16.f) + splat(0.5f - g.y);
+  const Floats top = maximum(above, splat(-e.half_height)), bottom = minimum(above + splat(15.f), splat(e.half_height));
+  const float at_extreme = e.half_width * e.cov_xy / e.cov_xx, inverse = 1.f / e.cov_yy, slope = e.cov_xy * inverse,
+              scale = (e.cov_xx * e.cov_yy - e.cov_xy * e.cov_xy) * inverse, origin = g.x - 0.5f;
+  const Floats right_y = maximum(minimum(splat(at_extreme), bottom), top),
+               left_y = maximum(minimum(splat(-at_extreme), bottom), top);
+  const Floats right_2 = (splat(e.reach) - right_y * right_y * splat(inverse)) * splat(scale),
+               left_2 = (splat(e.reach) - left_y * left_y * splat(inverse)) * splat(scale);
+  const Floats right = right_y * splat(slope) + square_root(maximum(right_2, splat(0.f))),
+               left = left_y * splat(slope) - square_root(maximum(left_2, splat(0.f)));
+  const Floats low = splat((float)e.x0), high = splat((float)e.x1);
+  const Floats begin = (splat(origin) + left) * splat(1 / 16.f) - splat(1e-3f),
+               end = (splat(origin) + right) * splat(1 / 16.f) + splat(1.001f);
+  const Ints from = truncate(minimum(maximum(begin, low), high)),  // rounds down, as none is below 0
+      to = truncate(minimum(maximum(end, low), high));
+  store_int(first, from);
+  store_int(last, select((from < to) & (bottom >= top), to, from));
 }
 
-INLINE float clamped(float x, float low, float high) {  // without a branch, which is not to be foreseen
-  const float below = x < high ? x : high;
-  return below > low ? below : low;
-}
-
-// Tile columns that the ellipse d^T cov^-1 d <= reach touches within one tile row: its extreme x there
-// is at the dy of its overall extreme where the row holds that, else at the row's nearer edge.
-static inline TileSpan span_in_row(const Splat &g, const Extent &e, int row) {
-  float top = (float)row * 16.f + 0.5f - g.y, bottom = top + 15.f;
-  top = top > -e.half_height ? top : -e.half_height;
-  bottom = bottom < e.half_height ? bottom : e.half_height;
-  if (top > bottom) return {0, 0};
-  const float at_extreme = e.half_width * e.cov_xy / e.cov_xx;
-  const float right_y = clamped(at_extreme, top, bottom), left_y = clamped(-at_extreme, top, bottom);
-  const float inverse = 1.f / e.cov_yy, slope = e.cov_xy * inverse,
-              scale = (e.cov_xx * e.cov_yy - e.cov_xy * e.cov_xy) * inverse;
-  const float right_2 = (e.reach - right_y * right_y * inverse) * scale,
-              left_2 = (e.reach - left_y * left_y * inverse) * scale;
-  const float right = right_y * slope + __builtin_sqrtf(right_2 > 0 ? right_2 : 0.f);
-  const float left = left_y * slope - __builtin_sqrtf(left_2 > 0 ? left_2 : 0.f);
-  const float origin = g.x - 0.5f;
-  const int first = tile_at((origin + left) * (1 / 16.f) - 1e-3f);
-  const int last = tile_at((origin + right) * (1 / 16.f) + 1e-3f) + 1;
-  const TileSpan span = {first > e.x0 ? first : e.x0, last < e.x1 ? last : e.x1};
-  return span.last > span.first ? span : TileSpan{0, 0};
-}
-
-// Writes, for every splat and every tile row of its rectangle, first | last << 16. Adds to `changes`, one more than
-// there are tiles, by how much more splats touch a tile than the one before.
-static uint32_t *tile_spans(const Splat *splats, const Extent *extents, uint32_t count, int32_t columns,
-                            uint32_t *spans, uint32_t *changes) {
-  for (uint32_t i = 0; i < count; i++) {
+// Hands out, for every splat and every tile row of its rectangle, which tiles it may touch: next[row] is where the
+// row's next span goes. Numbers splats from `begin` on.
+static void tile_spans(const Splat *splats, const Extent *extents, uint32_t begin, uint32_t end, TileSpan *spans,
+                       uint32_t *next) {
+  for (uint32_t i = begin; i < end; i++) {
     const Extent &e = extents[i];
-    const bool narrow = e.x1 - e.x0 == 1;
-    for (int row = e.y0; row < e.y1; row++) {
-      const TileSpan s = narrow ? TileSpan{e.x0, e.x1} : span_in_row(splats[i], e, row);
-      *spans++ = (uint32_t)s.first | (uint32_t)s.last << 16;
-      changes[(size_t)row * columns + s.first]++, changes[(size_t)row * columns + s.last]--;
+    int32_t first[16], last[16];
+    uint32_t before = 0;
+    for (int row = e.y0; row < e.y1; row += 16) {
+      spans_in_rows(splats[i], e, row, first, last);
+      for (int r = 0; r < 16 && row + r < e.y1; r++) {
+        spans[next[row + r]++] = {i, (uint16_t)first[r], (uint16_t)last[r], before};
+        before += (uint32_t)(last[r] - first[r]);
+      }
     }
   }
-  return spans;
 }
 
 }  // namespace drsplat::DRSPLAT_ISA

@@ -3,30 +3,48 @@
 // and the stop at 1e-4.
 #pragma once
 #include "kernels/compositing.h"
+#include "kernels/group.h"
 
 namespace drsplat::DRSPLAT_ISA {
+
+constexpr int kSide = 4;  // of a block: a splat touches fewer of 4x4 pixels than of 8x2
+
+// Of a block's pixels in the image, visit(lane, which pixel of the image).
+template <class Visit>
+INLINE void each_pixel(const Tile &tile, int left, int top, Visit visit) {
+  const int width = tile.width - left, height = tile.height - top;
+  const size_t first = (size_t)top * tile.width + left;
+  if (width >= kSide && height >= kSide) {
+    for (int l = 0; l < 16; l++) visit(l, first + (size_t)(l / kSide) * tile.width + l % kSide);
+    return;
+  }
+  for (int l = 0; l < 16; l++)
+    if (l % kSide < width && l / kSide < height) visit(l, first + (size_t)(l / kSide) * tile.width + l % kSide);
+}
 
 // colors: 3 per splat. image (height, width, 3), alpha (height, width). blocks: of each list entry, a bit for each
 // block of which it reaches a ray, which is where the way back finds something to do.
 static void tile_forward(const Tile &tile, const float *colors, const float *background, TileScratch &scratch,
                          float *image, float *alpha, uint16_t *blocks) {
-  Walk walk(tile, scratch, colors);
+  Walk walk(tile, scratch, colors, kSide);
   memset(blocks, 0, tile.count * sizeof(uint16_t));
   for (int b = 0; b < kBlocks; b++) {
     const auto [left, top, inside] = pixels_of(walk, b);
     if (!any(inside)) continue;
     Floats red = splat(0.f), green = red, blue = red;
     const Floats rest = walk_block(
-        walk, b, inside, 0, [](uint32_t) {},
-        [&](uint32_t i, Floats w, Mask reached) __attribute__((always_inline)) {
+        walk, b, inside, 0, ChunkOnStack{}, [&](uint32_t i, Floats w, Mask reached) __attribute__((always_inline)) {
           const float *color = colors + 3 * (size_t)tile.list[i];
           blocks[i] = (uint16_t)(blocks[i] | (uint32_t)any(reached) << b);
           red = red + w * splat(color[0]), green = green + w * splat(color[1]), blue = blue + w * splat(color[2]);
         });
-    write_lanes(image, tile, left, top, inside, 3, red + rest * splat(background[0]));
-    write_lanes(image + 1, tile, left, top, inside, 3, green + rest * splat(background[1]));
-    write_lanes(image + 2, tile, left, top, inside, 3, blue + rest * splat(background[2]));
-    write_lanes(alpha, tile, left, top, inside, 1, splat(1.f) - rest);
+    float columns[4][16];
+    store(columns[0], red + rest * splat(background[0])), store(columns[1], green + rest * splat(background[1]));
+    store(columns[2], blue + rest * splat(background[2])), store(columns[3], splat(1.f) - rest);
+    each_pixel(tile, left, top, [&](int l, size_t pixel) __attribute__((always_inline)) {
+      for (int c = 0; c < 3; c++) image[3 * pixel + c] = columns[c][l];
+      alpha[pixel] = columns[3][l];
+    });
   }
 }
 
@@ -37,64 +55,88 @@ struct BlockState {              // 16 pixels during the backward walk
 };
 
 static inline void start_blocks(const Walk &walk, const float *image, const float *gradient, BlockState *states) {
-  const Tile &tile = walk.tile;
+  const Floats none = splat(0.f);
   for (int b = 0; b < kBlocks; b++) {
-    float t[16], behind[16], g[3][16];
-    for (int l = 0; l < 16; l++) {
-      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth,
-                y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
-      const bool inside = x < tile.width && y < tile.height;
-      const size_t pixel = inside ? ((size_t)y * tile.width + x) * 3 : 0;
-      t[l] = inside, behind[l] = 0;
-      for (int c = 0; c < 3; c++) {
-        g[c][l] = inside ? gradient[pixel + c] : 0.f;
-        behind[l] += inside ? image[pixel + c] * g[c][l] : 0.f;
-      }
-    }
+    const auto [left, top, inside] = pixels_of(walk, b);
     const Points centres = centres_of(walk, b);
-    states[b] = {centres.x, centres.y, load(t), load(behind), load(g[0]), load(g[1]), load(g[2])};
+    float columns[6][16] = {};
+    each_pixel(walk.tile, left, top, [&](int l, size_t pixel) __attribute__((always_inline)) {
+      for (int c = 0; c < 3; c++) columns[c][l] = image[3 * pixel + c], columns[3 + c][l] = gradient[3 * pixel + c];
+    });
+    const Floats red = load(columns[3]), green = load(columns[4]), blue = load(columns[5]);
+    const Floats behind = load(columns[0]) * red + load(columns[1]) * green + load(columns[2]) * blue;
+    states[b] = {centres.x, centres.y, keep(inside, splat(1.f)), behind, red, green, blue};
+  }
+  states[kBlocks] = {none, none, none, none, none, none, none};
+}
+
+// Blocks that a splat passes together, as registers allow: each step in one waits for the one before.
+constexpr int kBlocksTogether = kParts == 1 ? 2 : 1;
+
+// Brings some blocks behind a splat and adds what it does there to `total`, kSplatSums of them.
+INLINE void pass_splat(const Splat &g, const float *color, BlockState *const *blocks, Floats *total) {
+  constexpr int n = kBlocksTogether;
+  const Splat *splats[n];
+  Points d[n];
+  Floats alpha[n], transmittance[n], w[n], shade[n], behind[n], slope[n], G[n];
+  for (int b = 0; b < n; b++) splats[b] = &g, d[b] = offsets({blocks[b]->x, blocks[b]->y}, g);
+  alphas_at<n>(splats, d, alpha);
+  Mask live[n];
+  for (int b = 0; b < n; b++) transmittance[b] = blocks[b]->transmittance;
+  for (int b = 0; b < n; b++) {
+    const Floats weight = transmittance[b] * alpha[b], after = transmittance[b] - weight;
+    blocks[b]->transmittance = after;
+    live[b] = after >= splat(kMinTransmittance);
+    w[b] = keep(live[b], weight);
+  }
+  for (int b = 0; b < n; b++)
+    shade[b] =
+        blocks[b]->red * splat(color[0]) + blocks[b]->green * splat(color[1]) + blocks[b]->blue * splat(color[2]);
+  for (int b = 0; b < n; b++) blocks[b]->behind = behind[b] = blocks[b]->behind - w[b] * shade[b];
+  for (int b = 0; b < n; b++)  // dL/d(alpha)
+    slope[b] = transmittance[b] * shade[b] - behind[b] * reciprocal(splat(1.f) - alpha[b]);
+  for (int b = 0; b < n; b++) G[b] = keep(live[b] & (alpha[b] < splat(kMaxAlpha)), slope[b] * alpha[b]);
+  for (int b = 0; b < n; b++) {
+    const Floats gx = G[b] * d[b].x, gy = G[b] * d[b].y;
+    add_to(total[0], w[b] * blocks[b]->red), add_to(total[1], w[b] * blocks[b]->green),
+        add_to(total[2], w[b] * blocks[b]->blue);
+    add_to(total[3], G[b]), add_to(total[4], gx), add_to(total[5], gy);
+    add_to(total[6], gx * d[b].x), add_to(total[7], gx * d[b].y), add_to(total[8], gy * d[b].y);
   }
 }
 
-// Sums over the tile's pixels for every list entry, kSplatSums each: dL/d(colour), then with
+// Sums over the tile's pixels for every list entry, kSplatSums in a row of its own: dL/d(colour), then with
 // G = dL/d(ln alpha): G, G dx, G dy, G dx^2, G dx dy, G dy^2, d = pixel - centre. blocks: of tile_forward.
 //
 // dL/d(alpha_i) = T_i (c_i . g) - (what is behind i) / (1 - alpha_i), and what is behind i is the pixel's
 // value less what was composited up to i: so one walk front to back, without a record, is enough.
-static void tile_backward(const Tile &tile, const uint16_t *blocks, const float *colors, const float *image,
-                          const float *gradient, TileScratch &scratch, float *sums) {
-  memset(sums, 0, (size_t)tile.count * kSplatSums * sizeof(float));
+static void tile_backward(const Tile &tile, const uint16_t *blocks, const uint32_t *rows, const float *colors,
+                          const float *image, const float *gradient, TileScratch &scratch, float *sums) {
   if (!tile.count) return;
-  BlockState states[kBlocks];
-  start_blocks(Walk(tile, scratch), image, gradient, states);
+  BlockState states[kBlocks + 1];  // the last: one that no light reaches
+  start_blocks(Walk(tile, scratch, nullptr, kSide), image, gradient, states);
   for (uint32_t i = 0; i < tile.count; i++) {
     fetch_splat(tile, colors, i + kSplatsAhead);
+    if (i + kAhead < tile.count) __builtin_prefetch(sums + (size_t)rows[i + kAhead] * kSplatSums, 1);
     uint32_t reached = blocks[i];
-    if (!reached) continue;
+    float *out = sums + (size_t)rows[i] * kSplatSums;
+    if (!reached) {
+      memset(out, 0, kSplatSums * sizeof(float));
+      continue;
+    }
     const Splat &g = tile.splats[tile.list[i]];
     const float *color = colors + 3 * (size_t)tile.list[i];
     Floats total[kSplatSums];
     for (Floats &t : total) t = splat(0.f);
-    for (; reached; reached &= reached - 1) {
-      BlockState &s = states[__builtin_ctz(reached)];
-      const Points d = offsets({s.x, s.y}, g);
-      const Floats alpha = alpha_at(g, d);
-      const Floats weight = s.transmittance * alpha, after = s.transmittance - weight;
-      const Mask live = after >= splat(kMinTransmittance);
-      const Floats w = keep(live, weight);
-      const Floats shade = s.red * splat(color[0]) + s.green * splat(color[1]) + s.blue * splat(color[2]);
-      const Floats behind = s.behind - w * shade;
-      const Floats slope = s.transmittance * shade - behind * reciprocal(splat(1.f) - alpha);  // dL/d(alpha)
-      const Floats G = keep(live & (alpha < splat(kMaxAlpha)), slope * alpha);
-      s.transmittance = after, s.behind = behind;
-      const Floats gx = G * d.x, gy = G * d.y;
-      add_to(total[0], w * s.red), add_to(total[1], w * s.green), add_to(total[2], w * s.blue);
-      add_to(total[3], G), add_to(total[4], gx), add_to(total[5], gy);
-      add_to(total[6], gx * d.x), add_to(total[7], gx * d.y), add_to(total[8], gy * d.y);
+    while (reached) {
+      BlockState *passed[kBlocksTogether];
+      for (BlockState *&block : passed) {
+        block = &states[reached ? __builtin_ctz(reached) : kBlocks];
+        reached &= reached - 1;
+      }
+      pass_splat(g, color, passed, total);
     }
-    float *out = sums + (size_t)i * kSplatSums;
-    store_sums(out, total[0], total[1], total[2], total[3]),
-        store_sums(out + 4, total[4], total[5], total[6], total[7]);
+    store_eight_sums(out, total);
     out[8] = sum(total[8]);
   }
 }

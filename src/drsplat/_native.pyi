@@ -83,6 +83,20 @@ def scan_best(rows: _Parts, tables: _Parts, how: _Parts) -> tuple[Array, Array, 
 class TrainingPass:
     def forward(self) -> tuple[Array, Array]: ...
     def backward(self, image: Array, gradient: Array) -> tuple[Array, ...]: ...
+    def backward_and_step(
+        self,
+        image: Array,
+        gradient: Array,
+        sh: Array,
+        first: Array,
+        second: Array,
+        rate: float,
+        step: int,
+        beta1: float,
+        beta2: float,
+        epsilon: float,
+        head_rate: float,
+    ) -> tuple[Array, ...]: ...
     @property
     def seconds(self) -> dict[str, float]: ...
 

@@ -11,7 +11,7 @@ from test_views_hostile import unchecked_types
 
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas, pq_encode, weighted_rows
-from drsplat.kernels.algebra import changed_columns, code_sums, convolve, dense_rows, row_products
+from drsplat.kernels.algebra import changed_columns, code_sums, convolve, dense_rows, place_entries, row_products
 from fields import random_weights, unit_rows
 from refusing import refused
 from twins import algebra as reference_algebra
@@ -228,3 +228,22 @@ def test_columns_are_numbered_anew_taken_out_and_put_in(threads):
         changed_columns((old.indptr, old.indices, old.data), numbers[:19], given)
     with refused("as many rows"):
         changed_columns((old.indptr, old.indices, old.data), numbers, (more.indptr[:-1], *given[1:]))
+
+
+def test_entries_of_views_are_put_into_rows():
+    rng = default_rng(3)
+    parts = [random_weights(rng, 500, width, 0.2).tocoo() for width in (7, 1, 4)]
+    starts = np.zeros(501, np.int64)
+    for part in parts:
+        np.add.at(starts, part.row + 1, 1)
+    np.cumsum(starts, out=starts)
+    following, columns, weights = starts[:-1].copy(), np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
+    for part, first in zip(parts, (0, 7, 8), strict=True):
+        entries = part.row.astype(np.uint32), part.col.astype(np.int32), part.data
+        place_entries(entries, first, following, columns, weights)
+    expected = np.hstack([part.toarray() for part in parts])
+    assert_array_equal(csr_array((weights, columns, starts), shape=expected.shape).toarray(), expected)
+    with refused("room for their entries"):  # all rows are full but for the last, after which there is no room
+        place_entries((np.uint32([499]), np.int32([0]), np.float32([1])), 0, following, columns, weights)
+    with refused("rows that there are"):
+        place_entries((np.uint32([500]), np.int32([0]), np.float32([1])), 0, following, columns, weights)

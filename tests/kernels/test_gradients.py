@@ -17,9 +17,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.drawing.rendering import render
 from drsplat.kernels import available_isas, splat_arrays
-from drsplat.kernels.training import Gradients, SceneParameters, forward
+from drsplat.kernels.training import Gradients, HarmonicsStep, SceneParameters, adam_step, forward
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.views import View
+from refusing import refused
 from scenes import look_at_view, random_gaussians
 from twins import gradients as reference_gradients
 from twins import registering as reference
@@ -243,6 +244,42 @@ def test_degrees_beyond_the_active_one_do_nothing(active):
     assert np.abs(theirs.sh).max() > 0
     for kind in set(KINDS) - {"sh"}:
         assert_array_equal(getattr(ours, kind), getattr(theirs, kind))
+
+
+@every_isa
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_harmonics_step_on_the_way_back_as_they_do_after_it(degree, isa):
+    """Unseen ones as well, with the same bits for any threads; coefficients beyond the degree take no step."""
+    scene, view, black = random_scene(60, 3, 3), view_of("outside"), np.zeros(3, np.float32)
+    scene.means[::3] *= 1000
+    used = slice((degree + 1) ** 2)
+    moments = [default_rng(seed).uniform(0.1, 1, scene.sh.shape).astype(np.float32) for seed in (1, 2)]
+    after = [column.copy() for column in (scene.sh, *moments)]
+    gradients = forward(scene, view, degree, black, isa=isa).backward(image_gradient_of("outside"))
+    assert not gradients.sh.any(axis=(1, 2)).all()
+    adam_step(after[0], gradients.sh, *after[1:], 1e-3, 7, constant_rate=2e-2, isa=isa)
+    by_threads = []
+    for threads in (1, 2, 5):
+        at_once = [column.copy() for column in (scene.sh, *moments)]
+        drawn = forward(scene._replace(sh=at_once[0]), view, degree, black, threads=threads, isa=isa)
+        others = drawn.backward(image_gradient_of("outside"), HarmonicsStep(*at_once[1:], 1e-3, 2e-2, 7))
+        assert others.sh.shape == (60, 0, 3)
+        for one, other, start in zip(at_once, after, (scene.sh, *moments), strict=True):
+            assert_allclose(one[:, used], other[:, used], rtol=1e-6, atol=1e-6)
+            assert_array_equal(one[:, used.stop :], start[:, used.stop :])
+        for kind in set(KINDS) - {"sh"}:
+            assert_array_equal(getattr(others, kind), getattr(gradients, kind))
+        by_threads.append(at_once)
+    for others in by_threads[1:]:
+        assert_array_equal(others, by_threads[0])
+    assert (after[0] != scene.sh)[:, used].all()
+
+
+def test_moments_of_another_size_are_refused():
+    drawn = native_pass("outside")
+    other = np.zeros((3, 4, 3), np.float32)
+    with refused("expected moments"):
+        drawn.backward(image_gradient_of("outside"), HarmonicsStep(other, other, 1e-3, 1e-3, 1))
 
 
 def test_gradients_outlive_their_pass():

@@ -39,10 +39,17 @@ def trained() -> list[np.ndarray]:
     _, _, slope = _native.photometric_loss(image, np.zeros_like(image), 0.2, INSIDE, "")
     gradients = [np.array(column) for column in view.backward(image, slope)]
     moments = np.zeros(1500, "f"), np.zeros(1500, "f")
-    stepped = arrays[0].reshape(-1).copy()
+    stepped, sh, sh_moments = (
+        arrays[0].reshape(-1).copy(),
+        arrays[4].copy(),
+        (np.zeros((500, 4, 3), "f"), floats(500, 4, 3) ** 2),
+    )
+    view = _native.training_pass(*arrays[:4], sh, *how)
+    view.forward()
+    view.backward_and_step(image, slope, sh, *sh_moments, 1e-3, 1, 0.9, 0.999, 1e-15, 1e-2)
     rates = 1e-3, 1, 0.9, 0.999, 1e-15, 0.0, 0
     _native.adam_step(stepped, gradients[0].reshape(-1), *moments, *rates, INSIDE, "")
-    return [image, alpha, *gradients, stepped, *moments]
+    return [image, alpha, *gradients, stepped, *moments, sh, *sh_moments]
 
 
 def photographed() -> list[np.ndarray]:
@@ -65,6 +72,14 @@ def kept(found: np.ndarray, threads: int, isa: str) -> tuple[np.ndarray, np.ndar
     best = np.full((3, found.shape[1]), -np.inf, np.float32), np.zeros((3, found.shape[1]), np.uint16)
     _native.keep_best(*best, found, 0, threads, isa)
     return best
+
+
+def placed(weights: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Where a view's entries go in rows of five."""
+    rows, following = np.arange(len(weights), dtype=np.uint32), 5 * np.arange(len(weights))
+    columns, all_weights = np.zeros(5 * len(weights), np.int32), np.zeros(5 * len(weights), np.float32)
+    _native.place_entries(rows, rows.astype(np.int32), weights, 3, following, columns, all_weights)
+    return following, columns, all_weights
 
 
 def calls() -> list[Callable[[], object]]:
@@ -99,6 +114,7 @@ def calls() -> list[Callable[[], object]]:
         lambda: [_native.weighted_rows(starts, columns, floats(4000), floats(300, 32), *how)],
         lambda: [_native.dense_rows(floats(800, 33), floats(33, 48), *how)],
         lambda: kept(found, *how),
+        lambda: placed(floats(800)),
         lambda: [_native.convolve(floats(9, 8, 8, 3), floats(27, 16), floats(16), 1, *how)],
         lambda: _native.code_sums(floats(800, 64), rows[0].reshape(-1)[:12800].reshape(800, 16), INSIDE),
         lambda: [_native.heaviest_labels(further.reshape(40, 10, 8), floats(40, 10, 8), columns[:300], INSIDE)],

@@ -3,9 +3,11 @@
 import numpy as np
 
 from drsplat.photos.capture.posing import (
+    BEST_LARGE_MATCHES,
     NEIGHBOURS_IN_LOOKS,
     NEIGHBOURS_IN_ORDER,
     looks_of,
+    pairs_in_large_features,
     pairs_in_looks,
     pairs_in_order,
     pairs_in_place,
@@ -30,16 +32,20 @@ def test_photos_in_place_are_matched_with_the_nearest():
     assert pairs_in_place(np.full((5, 3), np.nan)) == set()
 
 
+def sift(rng, count):
+    """Return random descriptors as COLMAP stores them: of length 512, whole numbers."""
+    values = rng.gamma(0.3, size=(count, 128))
+    return np.round(512 * values / np.linalg.norm(values, axis=1, keepdims=True)).clip(0, 255).astype(np.uint8)
+
+
 def test_photos_that_look_alike_are_matched():
     """Three places, each with its own descriptors, of which each photo shows a part: pairs stay within places."""
     rng = np.random.default_rng(0)
-    places = rng.normal(size=(3, 400, 128)).astype(np.float32)
-    places /= np.linalg.norm(places, axis=2, keepdims=True)
+    places = [sift(rng, 400) for _ in range(3)]
 
     def read(key):
-        seen = rng.permutation(400)[:250]
-        noisy = places[int(key) % 3, seen] + rng.normal(0, 0.01, (250, 128)).astype(np.float32)
-        return np.asarray(noisy / np.linalg.norm(noisy, axis=1, keepdims=True), np.float32)
+        seen = places[int(key) % 3][rng.permutation(400)[:250]]
+        return np.maximum(seen, rng.integers(0, 10, seen.shape, np.uint8))
 
     looks = looks_of([str(key) for key in range(90)], read)
     pairs = pairs_in_looks(looks, 10)
@@ -48,9 +54,25 @@ def test_photos_that_look_alike_are_matched():
 
 
 def test_a_photo_without_features_looks_like_nothing():
-    empty = np.empty((0, 128), np.float32)
-    some = np.eye(128, dtype=np.float32)
+    empty = np.empty((0, 128), np.uint8)
+    some = np.eye(128, dtype=np.uint8)
     looks = looks_of(["0", "1", "2"], lambda key: empty if key == "1" else some)
     assert not looks[1].any()
     assert pairs_in_looks(looks, NEIGHBOURS_IN_LOOKS) == {(0, 2)}
     assert looks_of(["0"], lambda key: empty).shape == (1, 1)
+
+
+def test_pairs_whose_largest_features_match_are_kept_and_the_best_of_each_photo():
+    """Two places, 20 photos of each; photo 40 shares five features with one alone, 41 has none."""
+    rng = np.random.default_rng(0)
+    places = [sift(rng, 30) for _ in range(2)]
+    photos = [np.concatenate([sift(rng, 40), rng.permutation(places[k % 2])]) for k in range(40)]
+    photos += [np.concatenate([sift(rng, 40), photos[7][-5:]]), np.empty((0, 128), np.uint8)]
+    pairs = pairs_in_large_features(photos)
+    assert {(i, j) for i in range(40) for j in range(i + 2, 40, 2)} <= pairs
+    assert (7, 40) in pairs
+    assert sum((i + j) % 2 for i, j in pairs if j < 40) == 0
+    assert len(pairs) <= 2 * 190 + 2 * BEST_LARGE_MATCHES
+    swapped = pairs_in_large_features(photos[::-1])
+    alike = {(41 - j, 41 - i) for i, j in swapped if min(i, j) > 1}
+    assert alike == {(i, j) for i, j in pairs if j < 40}

@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
+from scripts import speed_picture
 from scripts.made_tables import TABLES
 
 import drsplat as ds
@@ -122,6 +123,13 @@ def test_references_exist(document):
 @pytest.mark.parametrize("page", TABLES, ids=lambda page: page.name)
 def test_tables_that_are_made_of_the_code_are_as_made(page):
     assert "\n".join(TABLES[page]()) in page.read_text(encoding="utf-8"), "run: python -m scripts.made_tables"
+
+
+def test_the_picture_of_times_is_that_of_its_table():
+    rows = speed_picture.stages(speed_picture.PAGE.read_text(encoding="utf-8"))
+    picture = speed_picture.PICTURE.read_text(encoding="utf-8")
+    assert picture == speed_picture.drawn(rows), "run: python -m scripts.made_tables"
+    assert all(row.name.split("(")[0] in picture for row in rows)
 
 
 def test_every_format_of_scenes_stands_in_the_table():

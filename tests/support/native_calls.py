@@ -265,6 +265,13 @@ def columns(rogue: Rogue) -> Call:
     return partial(_native.changed_columns, *matrices[0], numbers, *matrices[1], rogue.how()[0])
 
 
+def entries_of_views(rogue: Rogue) -> Call:
+    n, rows, room = rogue.counts(FEW, FEW, FEW)
+    of_rows, following = rogue.whole(0, rows, (n,), "u4"), rogue.whole(-1, room, (rows,), "i8")
+    given = of_rows, rogue.whole(0, 9, (n,), "i4"), rogue.floats(n), rogue.one((0, 1, 2**31 - 1, -(2**31)))
+    return partial(_native.place_entries, *given, following, np.zeros(room, "i4"), np.zeros(room, "f4"))
+
+
 def boxes(rogue: Rogue) -> Call:
     n, sets = rogue.counts(FEW, (0, 1, 5))
     starts = rogue.starts(rogue.one((0, 1)), 9, sets)
@@ -340,7 +347,8 @@ def training(rogue: Rogue) -> Call:
     scene = rogue.spoiled(means), rogue.spoiled(scales), rogue.floats(n, 4), rogue.floats(n)
     given = *scene, rogue.floats(n, k, 3), n % 2 == 1, camera(rogue, width, height), width, height
     gradient = rogue.floats(height, width, 3)
-    order = rogue.one(("fb", "b", "ffb", "fbb", "fbf", "bfb", "f"))
+    order = rogue.one(("fb", "b", "ffb", "fbb", "fbf", "bfb", "f", "fs", "s", "fsb"))
+    moments = rogue.floats(n, k, 3), rogue.floats(n, rogue.one((k, 1)), 3)
 
     def call() -> None:
         view = _native.training_pass(*given, rogue.one((0, 1, k, k + 1)), np.ones(3, "f"), *rogue.how())
@@ -349,6 +357,9 @@ def training(rogue: Rogue) -> Call:
             try:
                 if step == "f":
                     image, _ = view.forward()
+                elif step == "s":
+                    slope = gradient if image is None else image, gradient
+                    gradients = view.backward_and_step(*slope, given[4], *moments, 1e-3, 1, 0.9, 0.999, 1e-15, 1e-2)
                 else:
                     gradients = view.backward(gradient if image is None else image, gradient)
             except REFUSALS:
@@ -377,7 +388,7 @@ def optimizer(rogue: Rogue) -> Call:
 TWICE = weights, contributions, scan, mixture, encoding, photos, things, training
 FAMILIES = (
     *TWICE, *TWICE, rendering, colors, look_up_tables, neighbours, rows, dense, keeping, convolution, sums_of_codes,
-    labels, boxes, columns, merges, codes, loss, optimizer,
+    labels, boxes, columns, entries_of_views, merges, codes, loss, optimizer,
 )  # fmt: skip
 
 

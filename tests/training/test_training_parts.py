@@ -136,22 +136,23 @@ def test_a_reset_comes_only_where_there_is_time_to_recover():
         assert [i for i in range(1, iterations + 1) if resets_opacity(s, i)] == last
 
 
-def test_photos_are_a_quarter_then_a_half_then_as_they_are():
-    s = replace(DEFAULT, full_size_from=40)
-    sides = [divisor(s, i) for i in range(1, 60)]
-    assert sides == [4] * 4 + [2] * 35 + [1] * 20
+def test_photos_are_a_quarter_then_a_half_then_two_thirds_then_as_they_are():
+    s = replace(DEFAULT, full_size_from=50)
+    sides = [divisor(s, i) for i in range(1, 70)]
+    assert sides == [4] * 3 + [2] * 28 + [1.5] * 18 + [1] * 20
     assert {divisor(DEFAULT, i) for i in range(1, 100)} == {1}
 
 
 @pytest.mark.parametrize("strategy", ["default", "mcmc"])
-@pytest.mark.parametrize("iterations", [1, 7, 400, 3600, 50_000])
+@pytest.mark.parametrize("iterations", [1, 7, 400, 3000, 50_000])
 def test_an_everyday_schedule_comes_to_its_end_with_its_iterations(iterations, strategy):
     s = everyday([look_at_view((1, 0, 0))], iterations, strategy=strategy, background="white")
     assert means_rate(s, iterations) == pytest.approx(s.means_rate_end)
     assert active_sh_degree(s, iterations) == (3 if iterations >= 7 else 1)
-    assert s.full_size_from <= (iterations + 1) / 2
+    assert s.full_size_from <= 0.7 * iterations + 1
     assert s.refine_until <= iterations
     assert not any(resets_opacity(s, i) for i in range(1, iterations + 1))
+    assert s.penalty_of_opacity == (0.01 if strategy == "mcmc" else 0.03)
 
 
 def test_the_everyday_budget_follows_the_pixels():
@@ -180,6 +181,17 @@ def test_a_coarser_photo_has_means_of_pixels_and_uses_none_that_has_a_part_of_an
     left_out[3, 0] = True
     assert np.flatnonzero(Photo(pixels, outside, left_out).smaller(3, 2).unused).tolist() == [2, 3]
     assert Photo(pixels).smaller(3, 2).unused is None
+
+
+def test_two_thirds_of_a_photo_mix_parts_of_pixels_and_use_none_with_a_part_of_an_unused_one():
+    ramp = np.broadcast_to(np.arange(0, 240, 20, np.uint8)[None, :, None], (12, 12, 3))
+    outside = np.zeros((12, 12), bool)
+    outside[6:, 5] = True
+    smaller = Photo(np.ascontiguousarray(ramp), outside).smaller(8, 8)
+    assert smaller.pixels[4, 1:-1, 0].tolist() == pytest.approx([20 * (1.5 * k + 0.25) for k in range(1, 7)], abs=1)
+    covered = np.zeros((8, 8), bool)
+    covered[4:, 3] = True  # pixels 4.5 to 6
+    assert (smaller.unused | ~covered).all()
 
 
 def test_the_fingerprint_is_of_what_changes_the_result():
@@ -520,6 +532,24 @@ def test_photos_beyond_the_budget_are_read_again(tmp_path, monkeypatch):
     for index in (0, 1, 2, 3, 0, 1, 2, 3):
         assert photos[index].colors() == pytest.approx(np.full((112, 160, 3), 0.2, np.float32))
     assert reads == ["00.png", "01.png", "02.png", "03.png", "02.png", "03.png"]
+
+
+def test_the_last_coarse_photo_is_kept_while_there_is_room(tmp_path):
+    path = tmp_path / "photo.png"
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (112, 160, 3), np.uint8)).save(path)
+    views = circle(2, path=path)
+    full = 112 * 160 * 3
+    photos, few = TrainingPhotos(views, 2 * full + full // 2), TrainingPhotos(views, full)
+    for size in ((40, 28), (80, 56), (160, 112), (80, 56)):
+        coarse = photos.on_raster(0, *size)
+        assert photos.on_raster(0, *size) is coarse
+        assert np.array_equal(coarse.pixels, photos[0].smaller(*size).pixels)
+        assert np.array_equal(few.on_raster(0, *size).pixels, coarse.pixels)
+    assert photos.on_raster(0, 160, 112) is photos[0]
+    assert photos._room == full + full // 2 - full // 4
+    assert few._room == 0
+    assert not few._coarse
+    assert photos.with_masks_of(views)._room == full + full // 2
 
 
 def test_pixels_that_no_photo_covers_are_marked(tmp_path):

@@ -18,7 +18,9 @@ from scipy.sparse import csr_array
 from ..base.arrays import Doubles, Embeddings, FloatRows, Vector3
 from ..base.terminal import counted, facts_html
 from ..errors import DrSplatWarning, InputError, MismatchError, did_you_mean
+from ..formats.replacing import brief
 from ..kernels import default_isa
+from ..kernels.splatting import release_workspaces
 from ..scene.boxes import camera_axes
 from ..scene.encoders import EncoderIdentity
 from ..scene.gaussians import Gaussians
@@ -243,18 +245,24 @@ def register(
     times = times_of(scene, seen)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
+        if parts is None:
+            stack.enter_context(brief())
         scenery = scenery_of(scene, sampling.near)
+        near = scenery.near
         maker = ColumnMaker(scenery, folder, sampling, threads)
         followed = track(chosen, "registering views")
         columns = [maker.columns(view, features[key])[0] for view, key in followed]
+        del maker, scenery  # and what views are drawn from: W takes its place
+        release_workspaces()
         check_one_size({c.embeddings.shape[1]: c.view_name for c in columns})
-        weights = stacked([c.triples for c in columns], [len(c.embeddings) for c in columns], len(gaussians))
-    masks = masks_of(seen, [len(c.embeddings) for c in columns])
+        widths = [len(c.embeddings) for c in columns]
+        weights = stacked([c.triples for c in columns], widths, len(gaussians))
+    masks = masks_of(seen, widths)
     evidence = Evidence(weights, replace(masks, times=times), np.concatenate([c.embeddings for c in columns]))
     encoder = encoder_of(features, evidence.embeddings.shape[1])
     provenance = provenance_of(seen, [c.key for c in columns], features)
     return Registration(
-        evidence, gaussians.fingerprint, encoder, replace(sampling, near=scenery.near), provenance.up,
+        evidence, gaussians.fingerprint, encoder, replace(sampling, near=near), provenance.up,
         provenance=provenance,
     )  # fmt: skip
 

@@ -26,6 +26,7 @@ from ..base.contents import AnyPath
 from ..errors import InputError
 
 _WAITING: ContextVar[list[tuple[Path, Path, int | None]] | None] = ContextVar("waiting", default=None)
+_BRIEF: ContextVar[bool] = ContextVar("brief", default=False)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _OURS = re.compile(r"\.(.+\.)?[0-9a-f]{16}\.tmp", re.DOTALL)
 
@@ -65,7 +66,8 @@ def replacing(path: AnyPath, overwrite: bool = False) -> Iterator[BinaryIO]:
             with _Writer(raw) as file:
                 yield file
                 file.flush()
-                os.fsync(raw.fileno())
+                if not _BRIEF.get():
+                    os.fsync(raw.fileno())
                 waiting = _WAITING.get()
                 if waiting is not None:
                     waiting.append((temporary, path, os.dup(raw.fileno()) if system.RENAMES_OPEN_FILES else None))
@@ -73,7 +75,8 @@ def replacing(path: AnyPath, overwrite: bool = False) -> Iterator[BinaryIO]:
                 if not system.RENAMES_OPEN_FILES:
                     file.close()
                 os.replace(temporary, path)  # while it is locked
-            sync_folder(path.parent)
+            if not _BRIEF.get():
+                sync_folder(path.parent)
         finally:
             if all(temporary != held for held, _, _ in _WAITING.get() or ()):
                 temporary.unlink(missing_ok=True)
@@ -116,6 +119,16 @@ def at_once() -> Iterator[None]:
         yield
     finally:
         _WAITING.reset(token)
+
+
+@contextmanager
+def brief() -> Iterator[None]:
+    """Write the block's files without waiting for the disk: of a folder that is gone when the process is."""
+    token = _BRIEF.set(True)
+    try:
+        yield
+    finally:
+        _BRIEF.reset(token)
 
 
 def refuse_missing_parent(path: Path) -> None:

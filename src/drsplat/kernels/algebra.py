@@ -15,12 +15,14 @@ from ..base.arrays import (
     Float64,
     FloatRows,
     Ids,
+    Int32,
     Int64,
     Integer,
     Numbers,
     OtherEmbeddings,
     OtherIds,
     OtherIndices,
+    UnsignedIds,
     WholeNumbers,
 )
 from ..errors import InputError
@@ -121,6 +123,19 @@ def changed_columns(
     given = *_csr(weights), numbers, *_csr(added), threads
     starts, columns, values = native("columns", _native.changed_columns, *given)
     return starts.view(np.int64), columns, values  # it may come as "long long"
+
+
+def place_entries(
+    entries: tuple[UnsignedIds, Ids, Numbers], first_column: int, following: OtherIndices,
+    columns: Int32[np.ndarray, " w"], weights: Float32[np.ndarray, " w"],
+) -> None:  # fmt: skip
+    """Put one view's entries (rows, columns, numbers) into the rows of a CSR matrix, in place.
+
+    following: where the next entry of each row goes; it moves on. first_column: added to the entries' columns.
+
+    Raises: InputError: there is no such row, or it has no room.
+    """
+    native("entries", _native.place_entries, *entries, first_column, following, columns, weights)
 
 
 def _csr(entries: Entries) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

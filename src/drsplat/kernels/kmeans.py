@@ -69,10 +69,11 @@ class Centroids:
 
 def _keys(parts: Float32[np.ndarray, "n L d"]) -> UInt64[np.ndarray, "n L"]:
     """Return a 64-bit hash of each sub-vector: equal for equal values."""
-    words = (parts + np.float32(0)).view(np.uint32).astype(np.uint64)  # + 0 makes -0 equal 0
     keys = np.zeros(parts.shape[:2], np.uint64)
-    for word in range(words.shape[2]):
-        keys = (keys ^ words[:, :, word]) * np.uint64(0x9E3779B97F4A7C15)
+    for number in range(parts.shape[2]):
+        word = (parts[:, :, number] + np.float32(0)).view(np.uint32)  # + 0 makes -0 equal 0
+        keys ^= word
+        keys *= np.uint64(0x9E3779B97F4A7C15)
         keys ^= keys >> np.uint64(29)
     return keys
 

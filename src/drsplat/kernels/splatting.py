@@ -98,6 +98,11 @@ def view_weights(
     return Triples(*triples[:3])
 
 
+def release_workspaces() -> None:
+    """Give back the memory that is kept for the next view: about 100 bytes for each Gaussian that is seen."""
+    _native.release_workspaces()
+
+
 def topk_contributions(
     splats: SplatArrays, view: View, k: int, *, first_hits: int | None = None, threads: int = 0, isa: str = ""
 ) -> Contributions:

@@ -16,6 +16,8 @@ from ..scene.gaussians import PUBLISHED_NEAR
 from ..scene.views import View
 from .splats import camera_numbers, checked_isa
 
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # of Adam
+
 
 class SceneParameters(NamedTuple):
     """Parameters of a scene before activation, as they are optimised: C-contiguous float32.
@@ -41,9 +43,23 @@ class Rates(NamedTuple):
     sh_rest: float
 
 
+class HarmonicsStep(NamedTuple):
+    """Adam's step of the harmonics, in place, to be taken on the way back; the arguments are those of `adam_step`.
+
+    Coefficients beyond the pass's degree are left as they are. They have had no gradient and their moments are zero.
+    """
+
+    first_moment: Harmonics
+    second_moment: Harmonics
+    rate: float
+    constant_rate: float
+    step: int
+
+
 class Gradients(NamedTuple):
     """Gradients dL/d(parameter) and what density control needs; all zero for unseen Gaussians.
 
+    sh: empty, N x 0 x 3, where the harmonics took their step on the way back.
     screen: norm of dL/d(projected centre), with the image 2 units wide and high (3DGS's measure).
     radii: three standard deviations of the splat's longer axis, rounded up, in pixels.
     """
@@ -75,21 +91,29 @@ class TrainingView:
     image: Image
     alpha: PixelNumbers
 
-    def __init__(self, native: _native.TrainingPass) -> None:
-        self._native, self._done = native, False
+    def __init__(self, native: _native.TrainingPass, sh: Harmonics) -> None:
+        self._native, self._sh, self._done = native, sh, False
         self.image, self.alpha = native.forward()
 
-    def backward(self, image_gradient: Image) -> Gradients:
+    def backward(self, image_gradient: Image, step: HarmonicsStep | None = None) -> Gradients:
         """Return the parameters' gradients, given the loss's gradient by the image; once for each forward pass.
 
-        Raises: InputError: a gradient of another size than the image; a second call.
+        step: taken at once, which spares the memory of gradients that are four fifths of all.
+
+        Raises: InputError: a gradient of another size than the image; moments of another; a second call.
         """
         if self._done:
             raise InputError("one backward pass for each forward pass: call forward again")
         if image_gradient.shape != self.image.shape:
             raise InputError(f"expected a gradient {self.image.shape}, got {image_gradient.shape}")
+        if step is not None and any(moment.shape != self._sh.shape for moment in step[:2]):
+            raise InputError(f"expected moments {self._sh.shape}, as the harmonics")
         self._done = True
-        return Gradients(*self._native.backward(self.image, np.ascontiguousarray(image_gradient)))
+        slope = np.ascontiguousarray(image_gradient)
+        if step is None:
+            return Gradients(*self._native.backward(self.image, slope))
+        rates = step.rate, step.step, BETA1, BETA2, EPSILON, step.constant_rate
+        return Gradients(*self._native.backward_and_step(self.image, slope, self._sh, *step[:2], *rates))
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -124,7 +148,8 @@ def forward(
     camera = camera_numbers(view, near), view.width, view.height
     behind = np.ascontiguousarray(background, np.float32)
     return TrainingView(
-        _native.training_pass(*parameters, antialiased, *camera, active, behind, threads, checked_isa(isa))
+        _native.training_pass(*parameters, antialiased, *camera, active, behind, threads, checked_isa(isa)),
+        parameters.sh,
     )
 
 
@@ -150,9 +175,9 @@ def adam_step(
     rate: float,
     step: int,
     *,
-    beta1: float = 0.9,
-    beta2: float = 0.999,
-    epsilon: float = 1e-15,
+    beta1: float = BETA1,
+    beta2: float = BETA2,
+    epsilon: float = EPSILON,
     constant_rate: float | None = None,
     threads: int = 0,
     isa: str = "",

@@ -70,9 +70,7 @@ class DevicePhotos:
         """Return a photo on the raster of a view, which may be coarser than its own."""
         key = (index, view.width, view.height)
         if key not in self._kept:
-            photo = self._photos[index]
-            if photo.pixels.shape[:2] != (view.height, view.width):
-                photo = photo.smaller(*view.size)
+            photo = self._photos.on_raster(*key)
             unused = None if photo.unused is None else self._xp.asarray(photo.unused.astype(np.uint8))
             sent = DevicePhoto(self._xp.asarray(np.ascontiguousarray(photo.pixels)), unused)
             size = sum(array.nbytes for array in sent if array is not None)

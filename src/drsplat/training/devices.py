@@ -15,15 +15,15 @@ from . import device_run, loop
 from .run import CHECKPOINT_EVERY, SAVE_AT, Job, Status, Training
 from .settings import TrainingSettings
 
-DEFAULT_ITERATIONS = 3600
+DEFAULT_ITERATIONS = 3000
 REFINE_FROM_SHARE = 1 / 8  # of the iterations; and no later than originally
 REFINE_UNTIL_SHARE = 0.63  # of the iterations
 MCMC_REFINE_UNTIL_SHARE = 25 / 30  # as in the original schedule of mcmc
-FULL_SIZE_FROM_SHARE = 1 / 2  # of the iterations; photos are coarser before
+FULL_SIZE_FROM_SHARE = 0.7  # of the iterations; photos are coarser before
 TRANSIENTS_SHARE = 1 / 2  # of the iterations, after which what moves is looked for
 RATES_FALL_FROM_SHARE = 0.8  # of the iterations, after which the noise of single photos is averaged out
 SH_DEGREES = 7  # of harmonics that all the iterations would have time for
-OPACITY_PENALTY = 0.01
+OPACITY_PENALTY = 0.03  # with more, fewer Gaussians are left; with less, few photos are learnt by heart
 RATES = {"means_rate_end": 1.6e-5, "sh_rest_rate": 5e-4, "scales_rate": 1e-2, "quats_rate": 4e-3}
 """Steps of Adam, in the units of TrainingSettings: there are few, so that longer ones reach as far."""
 PIXELS_PER_GAUSSIAN = 1.9  # of a photo
@@ -40,7 +40,8 @@ def everyday(views: Sequence[View], iterations: int = DEFAULT_ITERATIONS, **chos
 
     Raises: InputError: as TrainingSettings.
     """
-    refined = MCMC_REFINE_UNTIL_SHARE if chosen.get("strategy") == "mcmc" else REFINE_UNTIL_SHARE
+    is_mcmc = chosen.get("strategy") == "mcmc"
+    refined = MCMC_REFINE_UNTIL_SHARE if is_mcmc else REFINE_UNTIL_SHARE
     numbers = RATES | {
         "iterations": iterations,
         "means_rate_steps": iterations,
@@ -52,7 +53,7 @@ def everyday(views: Sequence[View], iterations: int = DEFAULT_ITERATIONS, **chos
         "refine_until": round(refined * iterations),
         "reset_every": iterations,
         "reset_recovery": iterations,
-        "opacity_penalty": OPACITY_PENALTY,
+        "opacity_penalty": None if is_mcmc else OPACITY_PENALTY,
         "max_gaussians": budget_of(views),
     }
     return TrainingSettings(**(numbers | {name: value for name, value in chosen.items() if value is not None}))

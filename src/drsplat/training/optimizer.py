@@ -7,7 +7,7 @@ from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.cuda.devices import contiguous, on_host
 from ..kernels.cuda.training import DeviceGradients
-from ..kernels.training import Gradients, Rates, SceneParameters, adam_step
+from ..kernels.training import Gradients, HarmonicsStep, Rates, SceneParameters, adam_step
 from ..scene.eight_bits import MAX_ABS_CONSTANT
 from ..scene.gaussians import Gaussians
 
@@ -33,15 +33,21 @@ class Optimizer:
         return len(self.parameters.means)
 
     def step(self, gradients: Slopes, rates: Rates, step: int, threads: int = 0) -> None:
-        """Take one step of Adam, in place."""
+        """Take one step of Adam, in place; the harmonics none, if they took it on the way back."""
         for name in FLOATING:
             parameter, gradient, first, second = (
                 getattr(each, name) for each in (self.parameters, gradients, self.first, self.second)
             )
             rate, constant = getattr(rates, name), None
             if name == "sh":
+                if gradient.shape[1] == 0:
+                    continue
                 rate, constant = rates.sh_rest, rates.sh
             adam_step(parameter, gradient, first, second, rate, step, constant_rate=constant, threads=threads)
+
+    def harmonics_step(self, rates: Rates, step: int) -> HarmonicsStep:
+        """Return the step of the harmonics, for who takes it on the way back."""
+        return HarmonicsStep(self.first.sh, self.second.sh, rates.sh_rest, rates.sh, step)
 
     def limit_colors(self) -> None:
         """Bring constant colours back into what viewers with 8-bit colours show (`scene.eight_bits`)."""

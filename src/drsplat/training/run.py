@@ -187,8 +187,8 @@ class Run:
 
     def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         """Draw a photo's view and compare. Raises: DrSplatError: the loss is no longer a number."""
-        photo, view = self.photos[index], self._view(index)
-        photo = photo if view is self.views[index] else photo.smaller(*view.size)
+        view = self._view(index)
+        photo = self.photos.on_raster(index, *view.size)
         target = photo.colors()
         self._lap("photo")
         drawn = forward(
@@ -206,7 +206,8 @@ class Run:
         if unused is not None:
             loss.gradient[unused] = 0
         self._lap("loss")
-        gradients = drawn.backward(loss.gradient)
+        step = self.optimizer.harmonics_step(self._rates(), self.iteration)
+        gradients = drawn.backward(loss.gradient, step)
         if photo.left_out is not None:
             # Gaussians that only left-out pixels show are unseen: density control counts who is seen
             gradients = gradients._replace(radii=np.where(gradients.screen > 0, gradients.radii, np.float32(0)))
@@ -217,8 +218,8 @@ class Run:
         """Return a view on the raster of this iteration: no shorter than MIN_SIDE_PIXELS for being coarse."""
         view, wanted = self.views[index], divisor(self.settings, self.iteration)
         while wanted > 1 and min(view.size) < MIN_SIDE_PIXELS * wanted:
-            wanted //= 2
-        return view if wanted == 1 else view.resized(view.width // wanted, view.height // wanted)
+            wanted = max(wanted / 2, 1.0)
+        return view if wanted == 1 else view.resized(int(view.width / wanted), int(view.height / wanted))
 
     def _background(self) -> Float32[np.ndarray, "3"]:
         if self.settings.background == "random":

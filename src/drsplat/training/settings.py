@@ -26,6 +26,8 @@ _FROM_ZERO = (
     "seed", "sh_degree", "test_every", "evaluate_every", "refine_from", "full_size_from", "transients_at",
     "rates_fall_from", "refine_until", "photo_memory_bytes", "reset_recovery",
 )  # fmt: skip
+COARSE_SIZES = ((0.08, 4.0), (0.64, 2.0), (1.0, 1.5))
+"""D: what the sides of photos are divided by, up to a share of the iterations before `full_size_from`."""
 LAST_RATES_SHARE = 0.1  # D: of the rates that fall (`rates_fall_from`), at the last iteration
 
 
@@ -51,7 +53,7 @@ class TrainingSettings:
     antialiased: bool = False  # D: splats are dimmed as they are widened (Yu et al., "Mip-Splatting", 2024)
     colors_in_bytes: bool = False  # D: constant colours stay within 0 and 1, as viewers hold them in bytes
     test_every: int = 8  # A: every 8th photo is held out; 0: none
-    full_size_from: int = 0  # D: photos of half their sides before this iteration, of a quarter before an eighth of it
+    full_size_from: int = 0  # D: photos are coarser before this iteration (`COARSE_SIZES`)
     transients_at: int = 0  # D: after this iteration what moves between photos is left out (`transients`); 0: never
     evaluate_every: int = 0  # D: also measure held-out photos on the way; 0: at the end only
     photo_memory_bytes: int = 2 << 30  # D: decoded photos that are kept; others are read again
@@ -173,11 +175,9 @@ def active_sh_degree(settings: TrainingSettings, iteration: int) -> int:
     return min(settings.sh_degree, iteration // settings.sh_degree_every)
 
 
-def divisor(settings: TrainingSettings, iteration: int) -> int:
+def divisor(settings: TrainingSettings, iteration: int) -> float:
     """Return what the sides of photos are divided by: coarse shapes first, as pixels are what a step costs."""
-    if iteration >= settings.full_size_from:
-        return 1
-    return 4 if iteration < settings.full_size_from / 8 else 2
+    return next((by for until, by in COARSE_SIZES if iteration < until * settings.full_size_from), 1.0)
 
 
 def refines(settings: TrainingSettings, iteration: int) -> bool:

@@ -40,10 +40,12 @@ class Photo(NamedTuple):
     def smaller(self, width: int, height: int) -> "Photo":
         """Return it on a coarser raster: means of pixels, of which none is used that has a part of an unused one."""
         size, unused = (width, height), self.unused
-        pixels = np.asarray(Image.fromarray(self.pixels).resize(size, Image.Resampling.BOX))
+        # a box would take whole pixels, not parts of them
+        weights = Image.Resampling.BILINEAR if self.pixels.shape[1] % width else Image.Resampling.BOX
+        pixels = np.asarray(Image.fromarray(self.pixels).resize(size, weights))
         if unused is None:
             return Photo(pixels)
-        marks = Image.fromarray(unused * np.uint8(255)).resize(size, Image.Resampling.BOX)
+        marks = Image.fromarray(unused * np.uint8(255)).resize(size, weights)
         coarse = np.asarray(marks) > 0
         return Photo(pixels, coarse) if self.left_out is None else Photo(pixels, None, coarse)
 
@@ -61,6 +63,7 @@ class TrainingPhotos:
     def __init__(self, views: Sequence[View], memory_bytes: int) -> None:
         self._views, self._room = views, memory_bytes
         self._kept: dict[int, Photo] = {}
+        self._coarse: dict[int, Photo] = {}
         self._outside: dict[tuple[object, ...], Mask | None] = {}
         self._counting = Lock()
 
@@ -69,7 +72,7 @@ class TrainingPhotos:
 
     def with_masks_of(self, views: Sequence[View]) -> "TrainingPhotos":
         """Return the photos of the same views with other masks; those that are kept are not read again."""
-        photos = TrainingPhotos(views, self._room)
+        photos = TrainingPhotos(views, self._room + sum(photo.num_bytes for photo in self._coarse.values()))
         photos._outside = self._outside
         for index, photo in self._kept.items():
             if views[index].mask_path != self._views[index].mask_path:
@@ -94,6 +97,20 @@ class TrainingPhotos:
         with self._counting:
             if photo.num_bytes <= self._room:
                 self._kept[index] = photo
+                self._room -= photo.num_bytes
+        return photo
+
+    def on_raster(self, index: int, width: int, height: int) -> Photo:
+        """Return a photo on this raster; the last coarser one of each photo is kept, while there is room."""
+        if index in self._coarse and self._coarse[index].pixels.shape[:2] == (height, width):
+            return self._coarse[index]
+        photo = self[index]
+        if photo.pixels.shape[:2] != (height, width):
+            if index in self._coarse:
+                self._room += self._coarse.pop(index).num_bytes
+            photo = photo.smaller(width, height)
+            if photo.num_bytes <= self._room:
+                self._coarse[index] = photo
                 self._room -= photo.num_bytes
         return photo
 

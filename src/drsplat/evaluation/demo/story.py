@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Int64, Mask, OtherPixels, RowIds, Vector3
+from ...base.arrays import Int64, Mask, MaskIds, OtherPixels, RowIds, Vector3
 from ...base.progress import Stopwatch
 from ...base.terminal import counted
 from ...drawing.pictures import (
@@ -93,11 +93,14 @@ class Household:
     categories: dict[int, str]
     held_out: tuple[str, ...]
 
-    def mask(self, view_name: str, meant: Collection[str]) -> Mask:
-        """Return where a held-out photo shows one of these categories."""
-        ids = np.asarray(Image.open(self.folder / "ids" / f"{Path(view_name).stem}.png"))
-        numbers = [number for number, name in self.categories.items() if name in meant]
-        return np.isin(ids.astype(np.int32) - 1, numbers)
+    def ids(self, view_name: str) -> MaskIds:
+        """Return what each pixel of a held-out photo shows: an id of `categories`, -1 for none."""
+        with Image.open(self.folder / "ids" / f"{Path(view_name).stem}.png") as picture:
+            return np.asarray(picture).astype(np.int32) - 1
+
+    def mask(self, ids: MaskIds, meant: Collection[str]) -> Mask:
+        """Return which ids are of these categories."""
+        return np.isin(ids, [number for number, name in self.categories.items() if name in meant])
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,11 +218,13 @@ class _Judge:
         for column, verdict in enumerate(answers):
             chosen[verdict.gaussian_ids, column] = 1
         drawn = [render_channels(self.splats, view, chosen, threads=self.scene.threads) for view in self.held_out]
-        seen, judged = np.concatenate([one.channels for one in drawn]) > 0.5, []  # more than half of the weight
-        for column, verdict in enumerate(answers):
+        # more than half of the weight; a plane an answer, as it is compared
+        seen = np.concatenate([np.moveaxis(one.channels, -1, 0) > 0.5 for one in drawn], axis=1)
+        ids, judged = np.concatenate([self.household.ids(view.name) for view in self.held_out]), []
+        for verdict, shown in zip(answers, seen, strict=True):
             meant = verdict.probe.meant
-            truth = np.concatenate([self.household.mask(view.name, meant) for view in self.held_out])
-            judged.append(replace(verdict, iou=mask_iou(seen[..., column], truth) if meant else None))
+            iou = mask_iou(shown, self.household.mask(ids, meant)) if meant else None
+            judged.append(replace(verdict, iou=iou))
         return judged
 
 

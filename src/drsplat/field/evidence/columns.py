@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -10,10 +11,11 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Embeddings, MaskIds, OtherIndices, UnsignedIds
+from ...base.arrays import Embeddings, MaskIds, UnsignedIds
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.tensors import map_tensors, read_tensors, write_tensors
 from ...kernels import SplatArrays, Triples, default_isa, splat_arrays
+from ...kernels.algebra import place_entries
 from ...kernels.cuda.devices import device_in_use
 from ...scene.gaussians import Gaussians, ShapesDigest
 from ...scene.masks.features import ViewFeatures
@@ -131,20 +133,23 @@ class ColumnMaker:
 
         Raises: MismatchError: the map has another shape than the photo.
         """
-        mask_ids = _mask_ids(view, features)
-        key = self._key(view, mask_ids)
-        marks = {"key": key.hex(), "isa": _computed_by()}
-        path = self.folder / part_name(view.name)
-        columns, is_new = Columns(view.name, path, features.embeddings, key), not is_finished(path, marks)
-        if is_new:
-            splats, rows = self.scenery.visible_splats(view)
-            triples = self.sampling.triples(splats, view, mask_ids, self.threads)
-            if rows is not None:
-                triples = triples._replace(gaussian_ids=rows[triples.gaussian_ids])
+        mask_ids, path = _mask_ids(view, features), self.folder / part_name(view.name)
+        self.scenery.digest(view)  # before a thread asks for it again
+        with ThreadPoolExecutor(1) as pool:  # hashing takes a tenth of the time that weights take
+            hashed = pool.submit(self._key, view, mask_ids)
+            is_new = not (path.exists() and is_finished(path, _marks(hashed.result())))
+            triples = self._triples(view, mask_ids) if is_new else None
+        key = hashed.result()
+        if triples is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             tensors = dict(zip(("gaussian_ids", "segment_ids", "weights"), triples, strict=True))
-            write_tensors(path, tensors, marks | {"view": view.name}, overwrite=True)
-        return columns, is_new
+            write_tensors(path, tensors, _marks(key) | {"view": view.name}, overwrite=True)
+        return Columns(view.name, path, features.embeddings, key), is_new
+
+    def _triples(self, view: View, mask_ids: MaskIds) -> Triples:
+        splats, rows = self.scenery.visible_splats(view)
+        triples = self.sampling.triples(splats, view, mask_ids, self.threads)
+        return triples if rows is None else triples._replace(gaussian_ids=rows[triples.gaussian_ids])
 
     def key(self, view: View, features: ViewFeatures) -> bytes:
         """Return a hash of all that decides a view's columns; equal keys mean equal columns on one instruction set.
@@ -160,10 +165,10 @@ class ColumnMaker:
         return digest_of(view.K, view.cam_from_world, mask_ids, salt=salt)
 
 
-def _computed_by() -> str:
-    """Return the instruction set or the device in use: another one changes the last bits."""
+def _marks(key: bytes) -> dict[str, str]:
+    """Return what a finished file is known by: also the instruction set or device, which changes the last bits."""
     device = device_in_use()
-    return default_isa() if device == "cpu" else device
+    return {"key": key.hex(), "isa": default_isa() if device == "cpu" else device}
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> MaskIds:
@@ -212,23 +217,11 @@ def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_r
     """
     starts = np.zeros(num_rows + 1, np.int64)
     for triples in views:
-        ids = triples().gaussian_ids
-        first, runs = _runs(ids)
-        starts[1:][ids[first]] += runs
+        np.add.at(starts, triples().gaussian_ids + 1, 1)
     np.cumsum(starts, out=starts)
     indices, weights = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
-    cursor, offset = starts[:-1].copy(), 0
+    following, offset = starts[:-1].copy(), 0
     for triples, width in zip(views, widths, strict=True):
-        ids, masks, values = triples()
-        first, runs = _runs(ids)
-        position = cursor[ids] + np.arange(len(ids)) - np.repeat(first, runs)
-        indices[position], weights[position] = masks + offset, values
-        cursor[ids[first]] += runs
+        place_entries(triples(), offset, following, indices, weights)
         offset += width
     return csr_of(starts, indices, weights, offset)
-
-
-def _runs(ids: UnsignedIds) -> tuple[OtherIndices, OtherIndices]:
-    """Return where each of ascending ids begins, and how often it occurs."""
-    first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
-    return first, np.diff(first, append=len(ids))

@@ -93,8 +93,9 @@ def add_views(
     more = register(scene, new, features, before.sampling, parts=parts, threads=threads, track=track)
     watch.lap("register")
     after = _replaced(before, set(change.replaced), replace(more, encoder=field.encoder))
+    touched = (np.diff(more.weights.indptr) > 0) | _touched(before.evidence, change.replaced)
     watch.lap("weights")
-    return _changed(change, before, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
+    return _changed(change, touched, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 
 def _planned(field: LanguageField, given: Sequence[str], others: set[str], back: set[str]) -> Change:
@@ -141,11 +142,11 @@ def remove_views(
     names = set(names) - gone
     if gone and not names:
         return Change(field, unchanged=before.masks.view_names, left_out=tuple(sorted(gone)), seconds=watch.seconds)
-    after = before.without(names)
+    after, touched = before.without(names), _touched(before.evidence, names)
     watch.lap("weights")
     left_out = tuple(sorted(gone))
     change = Change(field, removed=tuple(sorted(names)), unchanged=after.masks.view_names, left_out=left_out)
-    return _changed(change, before, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
+    return _changed(change, touched, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 
 def recorded_aggregator(field: LanguageField) -> Aggregator:
@@ -202,7 +203,7 @@ def _replaced(before: Registration, others: set[str], more: Registration) -> Reg
 
 def _changed(
     change: Change,
-    before: Registration,
+    touched: Flags,
     after: Registration,
     how: Aggregator,
     gaussians: Gaussians,
@@ -211,11 +212,10 @@ def _changed(
     threads: int,
     track: Track,
 ) -> Change:
-    """Make the field of the registration `after`, with the old codes of untouched rows where they can stay."""
+    """Make the field of the registration `after`; rows that are not `touched` keep their codes where they can."""
     field, names = change.field, {*change.added, *change.replaced, *change.removed}
     assert field.growth is not None
     assert after.provenance is not None
-    touched = _touched(before.evidence, names) | _touched(after.evidence, names)
     again = regrown_field(field, after.evidence, after.provenance, touched, names, threads=threads, track=track)
     num_coded = int(np.count_nonzero(touched))
     if again is None:

@@ -347,9 +347,12 @@ class _Clusters:
 
 
 def heaviest(matrix: csr_array, most: int) -> csr_array:
-    """Return up to `most` entries of each row, the heaviest first, of equal ones the first column first."""
-    rows = entry_rows(matrix)
-    order = np.lexsort((matrix.indices, -matrix.data, rows))
-    kept = order[np.arange(len(order)) - matrix.indptr[rows] < most]
-    starts = np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
+    """Return up to `most` entries of each row, the heaviest first, of equal ones the first first."""
+    parts = [np.empty(0, np.int64)]
+    for begin, end in pairwise(matrix.indptr.tolist()):
+        light = -matrix.data[begin:end]
+        bound = np.partition(light, most)[most] if len(light) > most else np.inf  # few of a long row are sorted
+        some = np.flatnonzero(light <= bound)
+        parts.append(begin + some[np.argsort(light[some], kind="stable")[:most]])
+    kept, starts = np.concatenate(parts), np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
     return csr_of(starts, matrix.indices[kept], matrix.data[kept], matrix.shape[1])

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from ...base.arrays import Arrays, Flags, Float32, UnsignedIds, Vectors
+from ...base.arrays import Arrays, Flags, Float32, Ids, UnsignedIds, Vectors
 from ...base.contents import release
 from ...base.working import HERE, Held, Here, Work
 from ...errors import InputError
@@ -24,8 +25,7 @@ from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from .. import LanguageField
-from ..evidence.aggregation.entries import canonical, column_counts, row_chunks
-from ..evidence.aggregation.voting import view_sums
+from ..evidence.aggregation.entries import canonical, column_counts, row_chunks, view_runs
 from ..evidence.columns import Scenery
 from ..evidence.evidence import Evidence
 from ..evidence.pieces import HeldRows
@@ -215,12 +215,21 @@ def grow(evidence: Evidence, means: Vectors, *, threads: int = 0) -> Forest:
     weights, views = evidence.weights, evidence.masks.views
     embeddings, unit = _fewer_directions(evidence.embeddings)
     total = float(weights.data.sum(dtype=np.float64))
-    rule = _rule(total, len(view_sums(evidence).rows), len(np.unique(views)), unit)
+    rule = _rule(total, _count_sights(weights, views), len(np.unique(views)), unit)
     edges = neighbours(means[order], threads)
     forest = agglomerate(weights, views, embeddings, edges, MERGE_THRESHOLDS, rule, order=order, threads=threads)
     places = np.arange(len(forest.parents))
     places[order] = np.arange(len(order))
     return Forest(*(values[places] for values in forest))
+
+
+def _count_sights(weights: csr_array, views: Ids) -> int:
+    """Count the views that see a row, of all rows together; columns are in the order of their views."""
+    count = 0
+    for rows in row_chunks(weights):
+        starts = weights.indptr[rows.start : rows.stop + 1].astype(np.int64)
+        count += len(view_runs(views[weights.indices[starts[0] : starts[-1]]], starts - starts[0]))
+    return count
 
 
 def _rule(total: float, sights: int, views: int, unit: float) -> MergeRule:

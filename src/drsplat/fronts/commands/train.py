@@ -26,7 +26,7 @@ continues with more --iterations."""
 DAILY = "output_dir overwrite iterations resolution device images"
 RESOLUTION_DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
-EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 3600, 30_000  # of the two schedules
+EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 3000, 30_000  # of the two schedules
 NO_POINTS = "the capture has no points: triangulating some from its photos, a fifth of a second each"
 MAX_SIDE_PIXELS = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 

@@ -1,8 +1,8 @@
 """COLMAP's models of photos: features, pairs, matches, poses. Finished steps are kept and not repeated.
 
-The pairs to match are all of few photos; of many, neighbours in order, place and looks, whose number grows with that of
-the photos. The look of a photo is its SIFT descriptors relative to the words of a small vocabulary that is trained on
-the photos themselves.
+The pairs to match are, of few photos, all whose largest features match; of many, neighbours in order, place and looks,
+whose number grows with that of the photos. The look of a photo is its SIFT descriptors relative to the words of a small
+vocabulary that is trained on the photos themselves.
 Source: Jegou et al., Aggregating local descriptors into a compact image representation, CVPR 2010 (VLAD), with the
 intra-normalisation of Arandjelovic and Zisserman, All about VLAD, CVPR 2013.
 
@@ -16,14 +16,13 @@ import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 
-from ...base.arrays import Embedding, Embeddings, Float32, Float64, OtherEmbeddings, Points
+from ...base.arrays import Embedding, Embeddings, Float32, Float64, OtherEmbeddings, Points, UInt8
 from ...errors import FormatError
 from ...scene.geodesy import geocentric
 from .finding import are_numbered
@@ -33,6 +32,8 @@ from .settings import LENSES
 from .turning import MIN_MATCHES, check_moved
 from .work import Work
 
+Descriptors = UInt8[np.ndarray, "n 128"]
+UnitDescriptors = Float32[np.ndarray, "n 128"]
 PAIR_BASE = 2147483647  # pair id = PAIR_BASE * (smaller image id) + larger image id
 
 
@@ -65,12 +66,11 @@ def matched_pixels(database: sqlite3.Connection, pair: tuple[str, str]) -> Float
     return np.stack([pixels[k][matches[k::2]] for k in (0, 1)]).astype(np.float64)
 
 
-def descriptors_of(database: sqlite3.Connection, name: str) -> Float32[np.ndarray, "n 128"]:
-    """Return the SIFT descriptors of a photo, of unit length."""
+def descriptors_of(database: sqlite3.Connection, name: str) -> Descriptors:
+    """Return the SIFT descriptors of a photo, of length 512, those of the smallest features first."""
     query = "SELECT rows, cols, data FROM descriptors JOIN images USING (image_id) WHERE name = ?"
     rows, columns, data = database.execute(query, (name,)).fetchone() or (0, 128, b"")
-    values = np.frombuffer(data, np.uint8).reshape(rows, columns).astype(np.float32)
-    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
+    return np.frombuffer(data or b"", np.uint8).reshape(rows, columns)  # of a photo without features: NULL
 
 
 FEATURES_SIDE_PIXELS = 1200  # longer side of photos for finding features
@@ -86,7 +86,6 @@ NUM_WORDS, KMEANS_STEPS = 32, 12
 MAX_TRAINING_DESCRIPTORS = 40_000  # of the vocabulary
 MAX_DESCRIPTORS = 2_000  # of a photo
 
-Descriptors = Float32[np.ndarray, "n 128"]
 MAX_EXHAUSTIVE_PHOTOS = 150  # 11,175 pairs
 MAX_EXHAUSTIVE_NUMBERED_PHOTOS = 40  # their order says which overlap
 NEIGHBOURS_IN_ORDER = 12
@@ -94,6 +93,11 @@ NEIGHBOURS_IN_PLACE = 24
 NEIGHBOURS_IN_LOOKS = 20
 NUMBERED_NEIGHBOURS_IN_LOOKS = 8  # for loops
 _BLOCK_ROWS = 512
+MAX_COMPARED_FEATURES = 512  # of a photo, its largest
+MIN_LARGE_MATCHES = 12  # of them, for a pair to be worth all its features
+BEST_LARGE_MATCHES = 10  # pairs of a photo that are matched however few match
+SQUARED_LENGTH = np.float32(512**2)  # of stored descriptors
+MAX_RATIO = np.float32(0.8**2)  # of squared distances: Lowe's test
 
 
 class Model(NamedTuple):
@@ -192,7 +196,7 @@ class Posing:
         photos = [photo for photo in self.photos if photo.file in features]
         numbered = are_numbered([photo.name for photo in photos])
         if len(photos) <= (MAX_EXHAUSTIVE_NUMBERED_PHOTOS if numbered else MAX_EXHAUSTIVE_PHOTOS):
-            pairs = set(combinations(range(len(photos)), 2))
+            pairs = pairs_in_large_features([descriptors_of(database, photo.file) for photo in photos])
         else:
             looks = looks_of([photo.file for photo in photos], lambda file: descriptors_of(database, file))
             alike = NUMBERED_NEIGHBOURS_IN_LOOKS if numbered else NEIGHBOURS_IN_LOOKS
@@ -272,7 +276,7 @@ def _largest_group(pairs: dict[tuple[str, str], int]) -> int:
 def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> OtherEmbeddings:
     """Return a unit vector for each photo, zeros for one without descriptors; one photo is in memory at a time.
 
-    read: returns the descriptors of a photo by its key, of unit length.
+    read: returns the descriptors of a photo by its key.
     """
     each = max(1, MAX_TRAINING_DESCRIPTORS // max(len(keys), 1))
     step = max(1, len(keys) // MAX_TRAINING_DESCRIPTORS)
@@ -283,7 +287,7 @@ def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> OtherEm
     return np.stack([_look(_thinned(read(key), MAX_DESCRIPTORS), vocabulary) for key in keys])
 
 
-def _vocabulary(sample: Descriptors) -> Float32[np.ndarray, "w 128"]:
+def _vocabulary(sample: UnitDescriptors) -> Float32[np.ndarray, "w 128"]:
     """Return the centres of a k-means of descriptors."""
     centres = sample[np.random.default_rng(0).choice(len(sample), NUM_WORDS, replace=False)]
     for _ in range(KMEANS_STEPS):
@@ -294,7 +298,7 @@ def _vocabulary(sample: Descriptors) -> Float32[np.ndarray, "w 128"]:
     return centres
 
 
-def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) -> Embedding:
+def _look(descriptors: UnitDescriptors, vocabulary: Float32[np.ndarray, "w 128"]) -> Embedding:
     """Return the VLAD vector of a photo."""
     nearest = _nearest(descriptors, vocabulary)
     look = np.zeros_like(vocabulary)
@@ -304,13 +308,15 @@ def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) ->
     return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-9), np.float32)
 
 
-def _nearest(descriptors: Descriptors, centres: Float32[np.ndarray, "w 128"]) -> np.ndarray:
+def _nearest(descriptors: UnitDescriptors, centres: Float32[np.ndarray, "w 128"]) -> np.ndarray:
     return ((centres**2).sum(1) - 2 * descriptors @ centres.T).argmin(1)
 
 
-def _thinned(descriptors: Descriptors, most: int) -> Descriptors:
-    """Return at most `most` descriptors, evenly chosen."""
-    return descriptors[np.linspace(0, len(descriptors) - 1, min(most, len(descriptors))).astype(np.intp)]
+def _thinned(descriptors: Descriptors, most: int) -> UnitDescriptors:
+    """Return at most `most` descriptors, evenly chosen, of unit length."""
+    chosen = np.linspace(0, len(descriptors) - 1, min(most, len(descriptors))).astype(np.intp)
+    values = descriptors[chosen].astype(np.float32)
+    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
 
 
 def pairs_in_order(count: int) -> set[tuple[int, int]]:
@@ -331,6 +337,38 @@ def pairs_in_place(positions: Points) -> set[tuple[int, int]]:
     count = min(NEIGHBOURS_IN_PLACE + 1, len(placed))
     _, near = KDTree(positions[placed]).query(positions[placed], k=count)
     return _ordered(placed.repeat(count), placed[near].reshape(-1))
+
+
+def pairs_in_large_features(descriptors: Sequence[UInt8[np.ndarray, "_ 128"]]) -> set[tuple[int, int]]:
+    """Return pairs of photos whose largest features match, and for each photo those where most do.
+
+    Most pairs of a capture show nothing in common, and COLMAP spends most of its time on proving that. Dot products of
+    descriptors are whole numbers below 2^24, so they are exact.
+
+    descriptors: as `descriptors_of` returns them.
+    """
+    large = [rows[-MAX_COMPARED_FEATURES:].astype(np.float32) for rows in descriptors]
+    counts = np.zeros((len(large), len(large)), np.int32)
+    for i, ours in enumerate(large):
+        if i == 0 or not len(ours):
+            continue
+        products = ours @ np.concatenate(large[:i]).T  # one product is quicker than many small ones
+        parts = np.split(products, np.cumsum([len(rows) for rows in large[: i - 1]]), axis=1)
+        counts[i, :i] = counts[:i, i] = [_mutual_matches(part) for part in parts]
+    best = np.argsort(-counts, axis=1, kind="stable")[:, :BEST_LARGE_MATCHES]
+    first, second = np.nonzero(counts >= MIN_LARGE_MATCHES)
+    return _ordered(first, second) | _ordered(np.arange(len(large)).repeat(best.shape[1]), best.reshape(-1))
+
+
+def _mutual_matches(products: Float32[np.ndarray, "n m"]) -> int:
+    """Return how many rows and columns are each other's nearest, and by far. products: changes."""
+    if not products.size:
+        return 0
+    rows, nearest = np.arange(len(products)), products.argmax(1)
+    mutual = products.argmax(0)[nearest] == rows
+    distances = SQUARED_LENGTH - products[rows, nearest]
+    products[rows, nearest] = 0
+    return int((mutual & (distances < MAX_RATIO * (SQUARED_LENGTH - products.max(1)))).sum())
 
 
 def pairs_in_looks(looks: Embeddings, count: int = NEIGHBOURS_IN_LOOKS) -> set[tuple[int, int]]:

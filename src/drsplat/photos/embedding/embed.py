@@ -269,8 +269,8 @@ def _features(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encod
         levels = kept_masks(levels, used)
     maps = mask_maps(levels)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
-    counts = {level: count for level, count in level_counts(maps.mask_ids).items() if level in levels}
-    return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), counts, empty)
+    rows = _embeddings(image, maps.masks, encoder, view.name)
+    return _Embedded(maps.mask_ids, rows, level_counts(maps.mask_ids, levels), empty)
 
 
 def finish_photo(

@@ -1,6 +1,6 @@
 """Masks of an existing folder of features: another encoder embeds them, and their ids stay."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -92,11 +92,12 @@ def embedded_again(mask_ids: LevelMaskIds, view: View, encoder: ImageEncoder) ->
     return embeddings
 
 
-def level_counts(mask_ids: LevelMaskIds) -> dict[str, int]:
-    """Count the masks by level; a map without levels is `large`."""
+def level_counts(mask_ids: LevelMaskIds, levels: Collection[str] = LEVELS) -> dict[str, int]:
+    """Count the masks of these levels; a map without levels is `large`."""
     if mask_ids.ndim == 2:
         return {LEVELS[-1]: len(np.unique(mask_ids[mask_ids >= 0]))}
-    return {level: len(np.unique(ids[ids >= 0])) for level, ids in zip(LEVELS, mask_ids, strict=True)}
+    wanted = [(level, ids) for level, ids in zip(LEVELS, mask_ids, strict=True) if level in levels]
+    return {level: len(np.unique(ids[ids >= 0])) for level, ids in wanted}
 
 
 @runtime_checkable

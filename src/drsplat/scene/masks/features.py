@@ -49,4 +49,4 @@ class ViewFeatures:
             return self
         rows = ((np.arange(height) + 0.5) * h / height).astype(np.intp)
         columns = ((np.arange(width) + 0.5) * w / width).astype(np.intp)
-        return ViewFeatures(np.ascontiguousarray(self.mask_ids[rows[:, None], columns]), self.embeddings)
+        return ViewFeatures(self.mask_ids.take(columns, 1).take(rows, 0), self.embeddings)
