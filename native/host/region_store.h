@@ -63,7 +63,7 @@ struct Laid {
   // The same region with its sums, until the next is asked for.
   Region of(const Region &);
 
-  static constexpr size_t kRows = 2048;
+  static constexpr size_t kRows = 256;
   struct Row {
     int32_t place = -1, num_sights = 0;
     std::vector<Entry> entries;

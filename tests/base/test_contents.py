@@ -34,11 +34,10 @@ def test_small_files_are_read_and_large_ones_mapped(tmp_path, monkeypatch):
         assert not one.flags.writeable
 
 
-def test_maps_pass_a_piece_at_a_time(tmp_path, monkeypatch):
+def test_maps_pass_a_piece_at_a_time(tmp_path):
     path, numbers = tmp_path / "a", np.arange(3 << 20, dtype=np.int32)
     numbers.tofile(path)
     mapped = np.asarray(np.memmap(path, np.int32, "r"))[:-1]
-    monkeypatch.setattr(contents, "_PIECE_BYTES", 1 << 20)
     before, most = _mapped_bytes(), 0
     for at, piece in enumerate(pieces(mapped)):
         assert bytes(piece) == numbers[:-1].tobytes()[at << 20 : at + 1 << 20]

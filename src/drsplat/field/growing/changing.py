@@ -144,8 +144,7 @@ def remove_views(
         return Change(field, unchanged=before.masks.view_names, left_out=tuple(sorted(gone)), seconds=watch.seconds)
     after, touched = before.without(names), _touched(before.evidence, names)
     watch.lap("weights")
-    left_out = tuple(sorted(gone))
-    change = Change(field, removed=tuple(sorted(names)), unchanged=after.masks.view_names, left_out=left_out)
+    change = Change(field, removed=tuple(sorted(names)), unchanged=after.masks.view_names, left_out=tuple(sorted(gone)))
     return _changed(change, touched, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 

@@ -43,7 +43,7 @@ SOFT_SIGHT_SHARE = 0.55  # of what a photo shows of a Gaussian on average
 FAR_PHOTO_SHARE = 1.2e-4  # of the weight of a photo
 MIN_GAUSSIANS = 30  # of a node
 MAX_DIRECTIONS = 32  # of embeddings
-MAX_WEIGHTS = 32_000_000  # held at once, in some 66 bytes each: scenes of more are cut into blocks
+MAX_WEIGHTS = 32_000_000  # held at once, in some 35 bytes each: scenes of more are cut into blocks
 WEIGHTS_PER_ROW = 64  # on average, of scenes in blocks: of more, those of some views are looked at
 MASKS_AT_ONCE = 1 << 16
 BLOCK_WEIGHTS = 8_000_000  # of a block, without what is around it
@@ -210,13 +210,11 @@ def views_beyond(evidence: Evidence, most: int) -> Flags:
 
 def grow(evidence: Evidence, means: Vectors, *, threads: int = 0) -> Forest:
     """Grow the forest of merges over the rows of the evidence. means: the Gaussians' centres."""
-    order = along_a_curve(means)
-    evidence = canonical(evidence)
+    order, evidence = along_a_curve(means), canonical(evidence)
     weights, views = evidence.weights, evidence.masks.views
     embeddings, unit = _fewer_directions(evidence.embeddings)
-    total = float(weights.data.sum(dtype=np.float64))
+    total, edges = float(weights.data.sum(dtype=np.float64)), neighbours(means[order], threads)
     rule = _rule(total, _count_sights(weights, views), len(np.unique(views)), unit)
-    edges = neighbours(means[order], threads)
     forest = agglomerate(weights, views, embeddings, edges, MERGE_THRESHOLDS, rule, order=order, threads=threads)
     places = np.arange(len(forest.parents))
     places[order] = np.arange(len(order))
@@ -227,8 +225,8 @@ def _count_sights(weights: csr_array, views: Ids) -> int:
     """Count the views that see a row, of all rows together; columns are in the order of their views."""
     count = 0
     for rows in row_chunks(weights):
-        starts = weights.indptr[rows.start : rows.stop + 1].astype(np.int64)
-        count += len(view_runs(views[weights.indices[starts[0] : starts[-1]]], starts - starts[0]))
+        begins = weights.indptr[rows.start : rows.stop + 1]
+        count += len(view_runs(views[weights.indices[begins[0] : begins[-1]]], begins - begins[0]))
     return count
 
 

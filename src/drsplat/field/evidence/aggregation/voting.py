@@ -166,9 +166,8 @@ def effective_views(evidence: Evidence) -> Doubles:
 
     Source: NormLift (2026), reliability.
     """
-    weights, count = evidence.weights, len(evidence)
-    starts = view_runs(evidence.masks.views[weights.indices], weights.indptr)
-    sums = np.add.reduceat(weights.data, starts, dtype=np.float64) if len(starts) else np.empty(0)
-    rows = np.searchsorted(weights.indptr, starts, side="right") - 1
+    (indptr, indices, data), count = evidence.entries, len(evidence)
+    starts = view_runs(evidence.masks.views[indices], indptr)
+    sums, rows = np.add.reduceat(data, starts, dtype=np.float64), np.searchsorted(indptr, starts, side="right") - 1
     total, squares = np.bincount(rows, sums, count), np.bincount(rows, sums**2, count)
     return np.divide(total**2, squares, out=np.zeros(count), where=squares > 0)
