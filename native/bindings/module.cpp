@@ -10,7 +10,7 @@ namespace {
 uint32_t crc32_of(nb::handle bytes, uint32_t value) {
   Py_buffer view;
   if (PyObject_GetBuffer(bytes.ptr(), &view, PyBUF_SIMPLE)) throw nb::python_error();
-  value = without_gil([&] { return crc32((const uint8_t *)view.buf, (size_t)view.len, value); });
+  value = without_gil([&] { return crc32((const uint8_t *)view.buf, (size_t)view.len, value, thread_count(0)); });
   PyBuffer_Release(&view);
   return value;
 }

@@ -6,6 +6,6 @@
 namespace drsplat {
 
 // Of what `value` is of, and then these bytes.
-uint32_t crc32(const uint8_t *bytes, size_t count, uint32_t value);
+uint32_t crc32(const uint8_t *bytes, size_t count, uint32_t value, int threads);
 
 }  // namespace drsplat

@@ -59,10 +59,21 @@ Region Laid::of(const Region &region) {
   const Votes &votes = all.votes;
   Row &row = rows[(size_t)region.place % kRows];
   if (row.place != region.place) {
-    row.place = region.place, row.entries.clear(), row.sights.clear();
-    for (int64_t e = region.begin, end = e + region.num_sights; e < end; e++)
-      row.entries.push_back({votes.columns[e], votes.weights[e]});
-    row.num_sights = add_sights(row.entries.data(), row.entries.size(), votes.views, row.sights);
+    row.place = region.place, row.num_sights = 0;
+    const auto count = (size_t)region.num_sights;
+    row.entries.resize(count), row.sights.resize(count + 1);
+    double mass = 0;
+    for (size_t e = 0; e < count; e++) {
+      const int32_t column = votes.columns[region.begin + (int64_t)e], view = votes.views[column];
+      const float weight = votes.weights[region.begin + (int64_t)e];
+      row.entries[e] = {column, weight};
+      const bool same = row.num_sights && row.sights[row.num_sights - 1].view == view;
+      mass = same ? mass + weight : weight;
+      row.num_sights += !same;
+      Sight &sight = row.sights[row.num_sights - 1];
+      sight = {view, (float)mass, same ? sight.entry : (uint32_t)e};
+    }
+    row.sights[row.num_sights] = {-1, 0, (uint32_t)count};
   }
   return {{row.entries.data()}, row.sights.data(), row.num_sights, region.place, region.node, region.chunk};
 }

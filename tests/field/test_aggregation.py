@@ -18,7 +18,7 @@ from drsplat.field.evidence.aggregation import AGGREGATORS, Aggregator, aggregat
 from drsplat.field.evidence.aggregation.entries import BLOCK_ROWS, canonical, column_counts, of_columns, with_weights
 from drsplat.field.evidence.aggregation.outliers import OutlierRejection
 from drsplat.field.evidence.aggregation.trust import MaskTrust, tally
-from drsplat.field.evidence.aggregation.voting import effective_views, reliability, resultant_lengths, view_sums
+from drsplat.field.evidence.aggregation.voting import effective_views, reliability, resultant_lengths
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from fields import random_weights, unit_rows
 
@@ -198,18 +198,6 @@ def test_reliability_by_hand():
     lengths = [0.5**0.5, 1, 1, 0, (9 + 1) ** 0.5 / 4]
     assert_allclose(resultant_lengths(evidence), lengths, atol=1e-6)
     assert_allclose(reliability(evidence), np.multiply(lengths, [1 / 2, 1 / 2, 2 / 3, 0, 2 / 3]), atol=1e-6)
-
-
-@few
-@given(seeds)
-def test_view_sums_are_those_of_the_dense_matrix(seed):
-    evidence = evidence_of(default_rng(seed), per_view=4)
-    sums, views = view_sums(evidence), evidence.masks.views
-    dense = np.zeros((len(evidence), views.max() + 1))
-    dense[sums.rows, sums.views] = sums.weights
-    expected = [evidence.weights.toarray()[:, views == v].sum(axis=1) for v in range(views.max() + 1)]
-    assert_allclose(dense, np.transpose(expected), rtol=1e-6)
-    assert sums.entries.sum() == evidence.weights.nnz
 
 
 def test_the_mean_is_the_papers_to_the_bit():

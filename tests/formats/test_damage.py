@@ -18,7 +18,7 @@ from drsplat.cli import main
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import LanguageField, build_field, load_field
 from drsplat.field.codes import PQ, Mixture, load_codebook, save_codebook
-from drsplat.formats.replacing import replacing, sweep, together
+from drsplat.formats.replacing import brief, replacing, sweep, together
 from drsplat.formats.tensors import map_tensors, read_tensors, sealed, write_tensors
 from drsplat.formats.vocabulary import read_vocabulary
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows, without_checksums
@@ -208,8 +208,8 @@ def test_a_codebook_of_ours_is_checked_whole(tmp_path):
 
 
 def test_sums_of_any_bytes_are_those_of_zlib():
-    """Few bytes go by tables, many by products of polynomials; they may begin anywhere, and go on from others."""
-    content = default_rng(0).integers(0, 256, 70_000, np.uint8).tobytes()
+    """Few bytes go by tables, many by products of polynomials, millions on threads; they may go on from others."""
+    content = default_rng(0).integers(0, 256, 9_000_000, np.uint8).tobytes()
     for size in (*range(200), 1023, 4096, len(content) - 1):
         for value in (0, 1, 0xFFFFFFFF, 0x12345678):
             part = memoryview(content)[size % 2 :][:size]
@@ -253,6 +253,10 @@ def test_files_are_on_the_disk_before_they_get_their_name(tmp_path, monkeypatch)
     with replacing(tmp_path / "a") as file:
         file.write(b"a")
     assert seen == ["fsync", "name", "fsync"]  # the file, its name, the folder
+    seen.clear()
+    with brief(), replacing(tmp_path / "b") as file:
+        file.write(b"b")
+    assert seen == ["name"]
     seen.clear()
     toy_field().save(tmp_path / "a.field")
     assert seen[-2:] == ["name", "fsync"]

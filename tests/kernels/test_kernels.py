@@ -141,6 +141,21 @@ def test_as_many_first_hits_as_there_can_be_are_all(most, isa):
 
 
 @every_isa
+def test_a_splat_of_more_than_sixteen_rows_of_tiles_is_whole(isa):
+    K = np.array([[100.0, 0, 10], [0, 100, 350], [0, 0, 1]])
+    view = View("tall.png", K, np.eye(4), 20, 700)
+    sigma = np.float32([6, 0, 0, 6, 0, 0.1])[:, None] ** 2  # 150 pixels at a depth of 4
+    arrays = SplatArrays(np.float32([[0], [0], [4]]), sigma, np.float32([0.8]))
+    y, x = np.mgrid[:700, :20] + 0.5
+    alpha = 0.8 * np.exp(-((x - 10) ** 2 + (y - 350) ** 2) / (2 * (150**2 + 0.3)))
+    assert (alpha > 0.05).all()
+    drawn = render_channels(arrays, view, np.ones((1, 1), np.float32), isa=isa).alpha
+    assert_allclose(drawn, alpha, rtol=1e-5)
+    found = view_weights(arrays, view, np.zeros((700, 20), np.int32), isa=isa)
+    assert_allclose(found.weights, [alpha.sum()], rtol=1e-5)
+
+
+@every_isa
 def test_threads_change_no_bit(isa):
     scene, values = "inside", default_rng(0).normal(size=(3000, 5)).astype(np.float32)
     arrays, view, mask_ids = arrays_of(scene), view_of(scene), segments_of(scene)

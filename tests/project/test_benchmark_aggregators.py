@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.suite.aggregators import MEASURED, centres
 from benchmarks.suite.aggregators.centres import CentrePixels, centre_weights
-from benchmarks.suite.aggregators.gates import Gated, MassGate, QuantileGate, Spared
+from benchmarks.suite.aggregators.gates import Gated, MassGate, QuantileGate, Spared, view_sums
 from benchmarks.suite.aggregators.medians import CosineMedian
 from benchmarks.suite.aggregators.pruning import Pruned
 from benchmarks.suite.aggregators.tempering import Tempered
@@ -66,6 +66,18 @@ def test_the_quantile_gate_by_hand():
     weights = np.arange(1.0, 12)  # the median is 6
     assert QuantileGate(0.5, 0.0).passes(weights).tolist() == [False] * 6 + [True] * 5
     assert QuantileGate(0.5, 9.0).passes(weights).tolist() == [False] * 9 + [True] * 2
+
+
+@few
+@given(seeds)
+def test_view_sums_are_those_of_the_dense_matrix(seed):
+    evidence = evidence_of(default_rng(seed), per_view=4)
+    sums, views = view_sums(evidence), evidence.masks.views
+    dense = np.zeros((len(evidence), views.max() + 1))
+    dense[sums.rows, sums.views] = sums.weights
+    expected = [evidence.weights.toarray()[:, views == v].sum(axis=1) for v in range(views.max() + 1)]
+    assert_allclose(dense, np.transpose(expected), rtol=1e-6)
+    assert sums.entries.sum() == evidence.weights.nnz
 
 
 @few

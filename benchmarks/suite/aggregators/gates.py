@@ -9,10 +9,38 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool
 
-from drsplat.base.arrays import Doubles, Flags
-from drsplat.field.evidence.aggregation.entries import with_weights
-from drsplat.field.evidence.aggregation.voting import ViewSums, view_sums
+from drsplat.base.arrays import Doubles, Flags, Indices, OtherFlags, WholeNumbers
+from drsplat.field.evidence.aggregation.entries import view_runs, with_weights
 from drsplat.field.evidence.evidence import Evidence
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSums:
+    """Sums of W, an element per Gaussian and view with weight, in the order of W's rows, then of views.
+
+    weights: the sum over the view's columns, in pixels. entries: how many entries of W were added up.
+    """
+
+    rows: Indices
+    views: WholeNumbers
+    weights: Doubles
+    entries: Indices
+
+    def per_entry(self, kept: OtherFlags) -> Flags:
+        """Repeat the value of each sum for every entry of W in it."""
+        return np.repeat(kept, self.entries)
+
+
+def view_sums(evidence: Evidence) -> ViewSums:
+    """Add up W's columns of each view; the evidence has its columns in canonical order."""
+    weights = evidence.weights
+    views = evidence.masks.views[weights.indices]
+    starts = view_runs(views, weights.indptr)
+    if not len(starts):
+        return ViewSums(starts, views, np.empty(0), starts)
+    sums = np.add.reduceat(weights.data, starts, dtype=np.float64)
+    rows = np.searchsorted(weights.indptr, starts, side="right") - 1
+    return ViewSums(rows, views[starts], sums, np.diff(starts, append=len(views)))
 
 
 @runtime_checkable

@@ -38,7 +38,7 @@ from ...kernels.boxes import Boxes, boxes_of
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
-from ..evidence.aggregation.entries import entry_rows, with_entries
+from ..evidence.aggregation.entries import entry_rows
 from ..evidence.evidence import Evidence, csr_of
 from ..evidence.pieces import HeldRows
 from ..forest import JOINED, MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, by_number, check_forest
@@ -347,14 +347,12 @@ class _Clusters:
 
 
 def heaviest(matrix: csr_array, most: int) -> csr_array:
-    """Return up to `most` entries of each row, the heaviest first, of equal ones the first column first."""
-    held = np.ones(len(matrix.data), bool)
+    """Return up to `most` entries of each row, the heaviest first, of equal ones the first first."""
+    parts = [np.empty(0, np.int64)]
     for begin, end in pairwise(matrix.indptr.tolist()):
-        if end - begin > most:  # sorting what is lighter than the last one takes much longer than leaving it out
-            held[begin:end] = matrix.data[begin:end] >= np.partition(matrix.data[begin:end], -most)[-most]
-    matrix = with_entries(matrix, held)
-    rows = entry_rows(matrix)
-    order = np.lexsort((matrix.indices, -matrix.data, rows))
-    kept = order[np.arange(len(order)) - matrix.indptr[rows] < most]
-    starts = np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
+        light = -matrix.data[begin:end]
+        bound = np.partition(light, most)[most] if len(light) > most else np.inf  # few of a long row are sorted
+        some = np.flatnonzero(light <= bound)
+        parts.append(begin + some[np.argsort(light[some], kind="stable")[:most]])
+    kept, starts = np.concatenate(parts), np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
     return csr_of(starts, matrix.indices[kept], matrix.data[kept], matrix.shape[1])

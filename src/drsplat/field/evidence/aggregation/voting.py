@@ -7,19 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ....base.arrays import (
-    DoubleRows,
-    Doubles,
-    Embeddings,
-    Flags,
-    Ids,
-    IndexRows,
-    Indices,
-    OtherFlags,
-    OtherIndices,
-    Vectors,
-    WholeNumbers,
-)
+from ....base.arrays import DoubleRows, Doubles, Embeddings, Ids, IndexRows, Indices, OtherIndices, Vectors
 from ....kernels import weighted_rows
 from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
@@ -173,41 +161,14 @@ def reliability(evidence: Evidence, threads: int = 0) -> Doubles:
     return resultant_lengths(evidence, threads) * views / (views + 1)
 
 
-@dataclass(frozen=True, eq=False)
-class ViewSums:
-    """Sums of W, an element per Gaussian and view with weight, in the order of W's rows, then of views.
-
-    weights: the sum over the view's columns, in pixels. entries: how many entries of W were added up.
-    """
-
-    rows: Indices
-    views: WholeNumbers
-    weights: Doubles
-    entries: Indices
-
-    def per_entry(self, kept: OtherFlags) -> Flags:
-        """Repeat the value of each sum for every entry of W in it."""
-        return np.repeat(kept, self.entries)
-
-
-def view_sums(evidence: Evidence) -> ViewSums:
-    """Add up W's columns of each view; the evidence has its columns in canonical order."""
-    weights = evidence.weights
-    views = evidence.masks.views[weights.indices]
-    starts = view_runs(views, weights.indptr)
-    if not len(starts):
-        return ViewSums(starts, views, np.empty(0), starts)
-    sums = np.add.reduceat(weights.data, starts, dtype=np.float64)
-    rows = np.searchsorted(weights.indptr, starts, side="right") - 1
-    return ViewSums(rows, views[starts], sums, np.diff(starts, append=len(views)))
-
-
 def effective_views(evidence: Evidence) -> Doubles:
     """Return N_eff = (sum_v W_v)^2 / sum_v W_v^2, the equivalent number of equal views; 0 without any.
 
     Source: NormLift (2026), reliability.
     """
-    sums, rows = view_sums(evidence), len(evidence)
-    total = np.bincount(sums.rows, sums.weights, rows)
-    squares = np.bincount(sums.rows, sums.weights**2, rows)
-    return np.divide(total**2, squares, out=np.zeros(rows), where=squares > 0)
+    weights, count = evidence.weights, len(evidence)
+    starts = view_runs(evidence.masks.views[weights.indices], weights.indptr)
+    sums = np.add.reduceat(weights.data, starts, dtype=np.float64) if len(starts) else np.empty(0)
+    rows = np.searchsorted(weights.indptr, starts, side="right") - 1
+    total, squares = np.bincount(rows, sums, count), np.bincount(rows, sums**2, count)
+    return np.divide(total**2, squares, out=np.zeros(count), where=squares > 0)
