@@ -6,7 +6,8 @@
 
 An iteration is a forward pass, the photometric loss, the backward pass and an Adam step on every
 parameter; each round takes another camera of a furnished room. Figures are medians over the rounds;
-of the whole also the least, and the least CPU time of all threads, which a busy machine distorts less.
+of the whole also the least, and the least CPU time of all threads, which a busy machine distorts less. The harmonics
+take their Adam step in the backward pass. Beside an earlier version: in_turns.py --before PYTHON bench_training.py.
 
 The rival is the plain dense rasterizer of the tests in torch, on the CPU with autograd and torch's own
 Adam (pip install torch): every Gaussian at every pixel. It runs in turns with ours, on the same scene, of
@@ -26,7 +27,8 @@ from machine import describe, interleaved
 from rooms import room, room_views
 
 from drsplat import View
-from drsplat.kernels.training import SceneParameters, adam_step, forward, photometric_loss
+from drsplat.kernels.training import Rates, SceneParameters, forward, photometric_loss
+from drsplat.training.optimizer import Optimizer
 
 STAGES = ("project", "sort", "bin", "forward", "loss", "backward", "adam", "other")
 PARTS = {  # of the native pass, in the stages of the table
@@ -53,7 +55,8 @@ class Training:
             for view in views
         ]
         self.scene = SceneParameters(*(column.copy() for column in scene))
-        self.moments = [[np.zeros_like(column) for column in scene] for _ in range(2)]
+        self.optimizer = Optimizer(self.scene)
+        self.step_back = getattr(self.optimizer, "harmonics_step", None)  # which earlier versions have not
         self.seconds: dict[int, list[list[float]]] = {}
 
     def step(self, threads: int) -> None:
@@ -64,11 +67,11 @@ class Training:
         clock.append(time.perf_counter())
         loss = photometric_loss(seen.image, target, threads=threads)
         clock.append(time.perf_counter())
-        gradients = seen.backward(loss.gradient)
+        rates = Rates(**(RATES | {"sh": CONSTANT_RATE, "sh_rest": RATES["sh"]}))
+        steps = [self.step_back(rates, self.count)] if self.step_back else []
+        gradients = seen.backward(loss.gradient, *steps)
         clock.append(time.perf_counter())
-        for name, *arrays in zip(self.scene._fields, self.scene, gradients, *self.moments, strict=False):
-            constant = CONSTANT_RATE if name == "sh" else None
-            adam_step(*arrays, RATES[name], self.count, constant_rate=constant, threads=threads)
+        self.optimizer.step(gradients, rates, self.count, threads)
         clock.append(time.perf_counter())
         stages = stage_seconds(seen.seconds, np.diff(clock))
         self.seconds.setdefault(threads, []).append([*stages, time.process_time() - busy])

@@ -112,8 +112,9 @@ class TrainingView:
         slope = np.ascontiguousarray(image_gradient)
         if step is None:
             return Gradients(*self._native.backward(self.image, slope))
-        rates = step.rate, step.step, BETA1, BETA2, EPSILON, step.constant_rate
-        return Gradients(*self._native.backward_and_step(self.image, slope, self._sh, *step[:2], *rates))
+        first, second, rate, constant_rate, count = step
+        how = BETA1, BETA2, EPSILON, constant_rate
+        return Gradients(*self._native.backward_and_step(self.image, slope, self._sh, first, second, rate, count, *how))
 
     @property
     def seconds(self) -> dict[str, float]:
