@@ -52,17 +52,22 @@ def describe() -> str:
 
 
 def interleaved(
-    rivals: dict[str, Callable[[], object]], rounds: int, clock: Callable[[], float] = time.perf_counter
+    rivals: dict[str, Callable[[], object]],
+    rounds: int,
+    clock: Callable[[], float] = time.perf_counter,
+    first: Callable[[], object] = lambda: None,
 ) -> dict[str, np.ndarray]:
     """Seconds of each rival, `rounds` times in turns after one warm-up: noise falls on all alike.
 
-    clock: `time.process_time` leaves out what other programs take, on a machine that is not quiet.
+    clock: `time.process_time` leaves out what other programs take, on a machine that is not quiet. first: is called
+    before each, and not counted.
     """
     for run in rivals.values():
         run()
     seconds = {name: np.empty(rounds) for name in rivals}
     for i in range(rounds):
         for name, run in rivals.items():
+            first()
             start = clock()
             run()
             seconds[name][i] = clock() - start

@@ -338,7 +338,8 @@ static void sums(const GroupedRows &rows, uint32_t, const void *prepared, uint32
                  uint64_t first_row, void *scratch, float *out) {
   const size_t group_bytes = (size_t)rows.subvectors * kGroupRows;
   const uint64_t groups = (rows.rows + kGroupRows - 1) / kGroupRows, first = first_row / kGroupRows;
-  const uint32_t at_once = end - begin == 1 ? kGroups : kGroups / 4;  // sums of many queries take more of the cache
+  // Sums of many queries take more of the cache. Tables of one tile stay there anyway.
+  const uint32_t at_once = end - begin > 1 ? kGroups / 4 : tiles_of(rows.subvectors) > 1 ? kGroups : 1;
   const BytePlan *plans[kQueryTile];
   for (uint32_t q = begin; q < end; q++) plans[q - begin] = &plan_at(prepared, rows.subvectors, q);
   for (uint64_t g = first; g < groups && g < first + kGroups; g += at_once) {

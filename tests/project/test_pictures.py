@@ -9,6 +9,7 @@ from benchmarks import study_edits
 from benchmarks.suite import stamps
 from PIL import Image
 from scripts import make_film, make_pictures, pictures
+from scripts.speed_picture import PICTURE
 
 import drsplat as ds
 from drsplat.authoring.filming.frames import Highlight
