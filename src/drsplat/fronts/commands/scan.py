@@ -48,7 +48,7 @@ options from its table in --config. Poses need COLMAP's package: `drsplat doctor
 FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
 CPU_SIDE_PIXELS = 800  # longer side of photos that a CPU trains on
 DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
-SECONDS_PER_PHOTO = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
+SECONDS_PER_PHOTO = {"capture": 0.8, "train": 0.03, "embed": 0.3, "register": 0.1}
 """Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
 GRAPH, VOTE_SECONDS_PER_PHOTO = "graph", 0.4  # the built-in segmenter, whose pieces photos join
 SAM_SECONDS_PER_PHOTO = 8.0
